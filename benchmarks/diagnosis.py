@@ -21,7 +21,7 @@ from worlds_plant import DURATION, Hidden, Plant, Rng, Trajectory
 from excitant.analysis.diagnosis import diagnose
 from excitant.design import random_trajectory
 from excitant.exceptions import Infeasible
-from excitant.identify.recording import Recording
+from excitant.identify import Recording, identify_robot
 from excitant.robots import Robot
 from excitant.robots.motion import Array
 
@@ -30,6 +30,8 @@ READINGS = ("white", "coloured", "jitter", "current")
 WORLDS = tuple(itertools.product(OFF, READINGS))
 CATEGORIES = {"effects": 0.55, "set-up": 0.15, "outside": 0.1, "nothing": 0.2}
 COUNTS = (0.6, 0.25, 0.15)  # shares of one, two and three effects
+DIFFER = ("payload", "gravity_direction", "encoder_offset", "coulomb_friction", "viscous_friction",
+          "torque_offset", "torque_gain")  # fmt: skip
 HARMONICS = 5  # of each motion
 NOISE, ENCODER = 0.01, 2e-5  # of torque, of its standard deviation; of positions [rad]
 CORRELATION, BITS, HEADROOM = 0.02, 12, 1.5  # of coloured noise [s]; of torque, times its peak
@@ -73,10 +75,13 @@ def record(
     return Recording(name, name, t, q, tau)
 
 
-def drawn(seed: int, number: int) -> tuple[dict[str, Any], Robot, list[Recording], list[Hidden]]:
+def drawn(
+    seed: int, number: int, differ: bool = False
+) -> tuple[dict[str, Any], Robot, list[Recording], list[Hidden]]:
     """A case: its description, the given model, two recordings, and what is hidden."""
     rng, (off, reading) = np.random.default_rng([seed, number]), WORLDS[number % len(WORLDS)]
     category = str(rng.choice(list(CATEGORIES), p=list(CATEGORIES.values())))
+    category = "between" if differ else category
     robot, given, bare, motions = moving_arm(rng, OFF[off])
     drawing, plant, hidden = worlds.Drawing(bare, given, motions, rng), bare, list[Hidden]()
     if category == "set-up":
@@ -84,18 +89,20 @@ def drawn(seed: int, number: int) -> tuple[dict[str, Any], Robot, list[Recording
         hidden.append(found)
     elif category != "nothing":
         kinds, count = worlds.STRUCTURES, 1
-        if category == "effects":  # a current does not show the gain of its drive
-            kinds = tuple(k for k in worlds.KINDS if (k, reading) != ("torque_gain", "current"))
+        if category in ("effects", "between"):  # a current does not show the gain of its drive
+            kinds = DIFFER if differ else worlds.KINDS
+            kinds = tuple(k for k in kinds if (k, reading) != ("torque_gain", "current"))
+        if category == "effects":
             count = 1 + int(rng.choice(3, p=COUNTS))
         taken = set[int]()
         for kind in rng.choice(kinds, count, replace=False):
             plant, found = drawing.hide(plant, str(kind), taken)
             hidden.append(found)
     gains = np.exp(rng.uniform(*np.log(GAINS), robot.nv))
-    both = zip(motions, ("fitted", "held"), strict=True)
-    recordings = [record(plant, motion, reading, gains, rng, name) for motion, name in both]
+    both = zip((bare if differ else plant, plant), motions, ("fitted", "held"), strict=True)
+    recordings = [record(arm, motion, reading, gains, rng, name) for arm, motion, name in both]
     case = {"case": number, "seed": seed, "arm": robot.name, "world": f"{off}, {reading}"}
-    return case | {"category": category, "off": OFF[off]}, robot, recordings, hidden
+    return case | {"category": category, "off": OFF[off] * (not differ)}, robot, recordings, hidden
 
 
 def moving_arm(rng: Rng, off: float) -> tuple[Robot, Plant, Plant, tuple[Trajectory, ...]]:
@@ -107,16 +114,21 @@ def moving_arm(rng: Rng, off: float) -> tuple[Robot, Plant, Plant, tuple[Traject
             return robot, given, bare, tuple(motions)
 
 
-def run(seed: int, number: int, tell: bool = False) -> dict[str, Any]:
+def run(seed: int, number: int, tell: bool = False, differ: bool = False) -> dict[str, Any]:
     """Draw a case, diagnose it and score what is said; ``tell`` prints all of it."""
     threadpool_limits(1)
     warnings.simplefilter("ignore")
-    case, robot, (fitted, holdout), hidden = drawn(seed, number)
+    case, robot, (fitted, holdout), hidden = drawn(seed, number, differ)
     case["hidden"] = [plain(vars(h)) for h in hidden]
     begun = time.perf_counter()
     try:
-        diagnosis = diagnose(robot, [fitted], validate=[holdout])
-        findings = apart(diagnosis.result()["findings"])
+        if differ:
+            told = identify_robot(robot, [fitted], validate=[holdout]).differences
+            few = {"verdict": "named", "rivals": [], "parameters": []}
+            findings = [d.entry(robot) | few | {"share": d.left} for d in told]
+        else:
+            diagnosis = diagnose(robot, [fitted], validate=[holdout])
+            findings = apart(diagnosis.result()["findings"])
     except Exception as error:
         if tell:
             raise
@@ -127,6 +139,7 @@ def run(seed: int, number: int, tell: bool = False) -> dict[str, Any]:
     case["score"] = score(case, robot, hidden, findings)
     if tell:
         print(json.dumps(case, indent=1))
+    if tell and not differ:
         for label, accuracy in (("given", diagnosis.simulation), ("extended", diagnosis.extended)):
             print(f"nrmse on the hold-out, {label} model: {np.round(accuracy.nrmse, 3)}")
         print("\n".join([diagnosis.headline, *diagnosis.notes]))
@@ -144,7 +157,7 @@ def plain(value: Any) -> Any:
 
 
 def brief(finding: dict[str, Any]) -> dict[str, Any]:
-    share = round(finding.get("share", finding["explained"]), 4)
+    share = round(finding["share"] if "share" in finding else finding["explained"], 4)
     rivals = [[r["effect"], r["joints"]] for r in finding["rivals"]]
     named = {key: finding[key] for key in ("effect", "joints", "verdict")}
     values = {p["name"]: [p["value"], p["std"]] for p in finding["parameters"]}
@@ -224,7 +237,7 @@ def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
     effects = [
         (h, r["score"]["named"][k], r["score"]["found"][k], r, r["score"]["settled"][k])
         for r in done
-        if r["category"] == "effects"
+        if r["category"] in ("effects", "between")
         for k, h in enumerate(r["hidden"])
     ]
     large = [e for e in effects if e[0]["size"] >= BINS[2]]
@@ -281,19 +294,22 @@ def main(
     case: int | None = None,
     jobs: int = 2,
     output: common.Output = None,
+    differ: bool = False,
 ) -> None:
     """Draw and diagnose arms.
 
     Args:
         count: Number of cases.
         case: Tell all of this case alone.
+        differ: Hide an effect in the held-out recording alone, and tell what `identify` says of it.
     """
     seed = common.printed_seed(seed)
     if case is not None:
-        run(seed, case, tell=True)
+        run(seed, case, True, differ)
         return
     begun = time.perf_counter()
-    results = common.answers(run, [(seed, k) for k in range(1, count + 1)], jobs, output)
+    cases = [(seed, k, False, differ) for k in range(1, count + 1)]
+    results = common.answers(run, cases, jobs, output)
     print("\n".join(report(results)))
     print(f"\n{count} cases in {(time.perf_counter() - begun) / 60:.1f} min")
 

@@ -1,11 +1,10 @@
-"""Time, time spent on imports, and peak memory of each command as a process; see README.md.
+"""Time and peak memory of each command as a process; see README.md.
 
 Imports nothing but the standard library: a child's peak memory is no less than its parent's.
 """
 
 import argparse
 import os
-import re
 import shlex
 import subprocess
 import sys
@@ -18,7 +17,6 @@ DATA = Path(os.environ.get("EXCITANT_DATA", Path(__file__).parents[2] / "shared"
 RECORDED = DATA / "ur10"
 COMMANDS = {
     "--help": "--help",
-    "robots": "robots",
     "robots panda": "robots panda",
     "analyze panda": "analyze panda -o analyzed",
     "design planar_2r": "design planar_2r --starts 1 --jobs 1 --duration 8 --harmonics 3 -o motion",
@@ -35,10 +33,6 @@ COMMANDS = {
 UNIT = "import numpy, scipy.linalg, pinocchio"
 MOST = {"analyze panda": 3.0, f"identify {RECORDED.name} set": 8.0, f"go {RECORDED.name} set": 30.0}
 """Ratio of a command's processor time, children included, to that of `UNIT`."""
-LIBRARIES = """
-import numpy, scipy.linalg, scipy.optimize, scipy.special, scipy.fft, scipy.interpolate
-import scipy.ndimage, pinocchio, pandas, pyarrow.parquet, clarabel, cyclopts, msgspec, yaml, jinja2
-"""  # that identify needs
 LOG = "import sys, pathlib, streaming; streaming.write(pathlib.Path(sys.argv[1]), 'panda', 60_000)"
 
 
@@ -60,14 +54,6 @@ def run(words: list[str], folder: Path) -> Took:
     return Took(wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
 
 
-def imports(words: list[str], folder: Path) -> float:
-    """Time spent on imports [s], on one core, where no other process imports, too."""
-    line = ["taskset", "--cpu-list", str(min(os.sched_getaffinity(0))), words[0]]
-    line += ["-X", "importtime", *words[1:]]
-    done = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False)
-    return sum(map(int, re.findall(r"^import time: +(\d+) ", done.stderr, re.MULTILINE))) / 1e6
-
-
 def least(words: list[str], folder: Path, repeats: int) -> Took:
     """What the quickest of some repeats took."""
     return min((run(words, folder) for _ in range(repeats)), key=lambda took: took.wall)
@@ -80,24 +66,20 @@ def main() -> None:
     args = parser.parse_args()
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # byte code is there after `make`
     python = [sys.executable, "-c"]
-    print(f"{'command':24s}  wall s   CPU s   ratio  imports s  peak MB")
+    print(f"{'command':24s}  wall s   CPU s   ratio  peak MB")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         log = [*python, LOG, str(folder / "log.parquet")]
         subprocess.run(log, cwd=Path(__file__).parent, check=True)
         unit = least([*python, UNIT], folder, args.repeats).cpu
-        lines = {"ratio 1": [*python, UNIT], "libraries of identify": [*python, LIBRARIES]}
-        for command, words in COMMANDS.items():
-            lines[command] = [sys.executable, "-m", "excitant", *shlex.split(words)]
-        for command in [command for command in lines if args.only in command]:
-            words = lines[command]
+        for command in [command for command in COMMANDS if args.only in command]:
+            words = [sys.executable, "-m", "excitant", *shlex.split(COMMANDS[command])]
             if command.endswith(" set") and not RECORDED.is_dir():
                 print(f"{command:24s} {RECORDED} is not there; set EXCITANT_DATA")
                 continue
             took = least(words, folder, args.repeats)
             ratio = took.cpu / unit
-            cells = f"{took.wall:7.2f} {took.cpu:7.2f} {ratio:7.1f}"
-            cells += f" {imports(words, folder):10.2f} {took.memory:8.0f}"
+            cells = f"{took.wall:7.2f} {took.cpu:7.2f} {ratio:7.1f} {took.memory:8.0f}"
             wanted = f"  wanted: at most {MOST[command]:g}" if command in MOST else ""
             exceeded = " EXCEEDED" if ratio > MOST.get(command, ratio) else ""
             print(f"{command:24s} {cells}{wanted}{exceeded}", flush=True)
