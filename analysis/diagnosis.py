@@ -463,15 +463,16 @@ def _extended(
     first = Extender(prior, train, tau, holdout, evidence, gains, halves)
     changes = frozenset((effect.name, effect.joints) for effect in mounted.effects)
     fit = _iterated(first, changes)
+    refuted = changes | fit.refuted
     if fit.refuted:
-        again = _iterated(first, changes | fit.refuted)
+        again = _iterated(first, refuted)
         if holdout.worse(fit.predicted, again.predicted, CONFIRMATION.floor):
             fit = again
     assert fit.extender is not None
-    more = completed(fit.evidence, mounted.robot, fit.chosen)
-    if len(more) > len(fit.chosen):
+    more = completed(fit.evidence, mounted.robot, fit.chosen, refuted)
+    if more != [*fit.chosen]:
         complete = confirmed(fit.extender, more)
-        if holdout.worse(fit.predicted, complete.predicted):
+        if holdout.worse(fit.predicted, complete.predicted, SEARCH.gain):
             fit = complete
     fit = fit.settled()
     if holdout.worse(fit.predicted, holdout.mounted):

@@ -76,6 +76,7 @@ class Evidence:
     nuisance: int  # number of its columns
     candidates: tuple[Candidate, ...]
     blocks: Index  # first row of each block of time
+    tests: int  # among which the level is divided
     by_share: bool  # bound the false discovery rate (Benjamini and Gavrilov 2009), not any alarm
     sigma: Array  # noise of each joint [N·m], shape (nv,)
     inflation: (
@@ -192,7 +193,7 @@ class Evidence:
         """Fall of J over λ that a candidate must exceed beside others, the search accounted for."""
         # λ is estimated from the blocks and, to one half, known from theory
         alarms = EVIDENCE.false_alarm * (1 + beside if self.by_share else 1)
-        tail = alarms / (len(self.candidates) * candidate.trials)
+        tail = alarms / (self.tests * candidate.trials)
         size = candidate.size
         freedom = 2 * size * (len(self.blocks) - 1)
         return float(size / scipy.special.fdtri(freedom, size, tail))
@@ -377,6 +378,7 @@ def weigh(
         nuisance,
         tuple(candidates),
         blocks,
+        len(candidates),
         by_share,
         sigma,
         inflation,

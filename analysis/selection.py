@@ -53,15 +53,19 @@ def select(
 
 
 def completed(
-    evidence: Evidence, robot: Robot, chosen: Sequence[Candidate]
+    evidence: Evidence,
+    robot: Robot,
+    chosen: Sequence[Candidate],
+    refuted: Set[Key],
 ) -> list[Candidate]:
     """Causes with the standard effects that are significant among standard effects.
 
     Every joint has these, so that fewer tests share the level (Genovese et al. 2006).
     """
-    standard = tuple(c for c in evidence.candidates if c.effect.search.standard)
-    among = replace(evidence, candidates=standard)
-    return _grown(among, robot, list(chosen), standard)[1]
+    standard = [c for c in evidence.candidates if c.effect.search.standard]
+    allowed = [c for c in standard if c.key not in refuted]
+    among = replace(evidence, tests=len(standard))
+    return _grown(among, robot, list(chosen), allowed)[1]
 
 
 def _grown(

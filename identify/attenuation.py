@@ -120,7 +120,7 @@ def without_noise(R: Array, errors: Array) -> Array:
         errors: EᵀE of their errors, whitened alike, shape (p, p).
     """
     norms = np.linalg.norm(R, axis=0)
-    size = np.where(silent_columns(R), norms.max(), norms)
+    size = np.where(silent_columns(R), norms.max(initial=0.0) or 1.0, norms)
     inverse = np.linalg.pinv(R / size, rcond=DEPENDENT) / size[:, None]
     return R - inverse.T @ errors
 

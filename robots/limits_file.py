@@ -116,6 +116,9 @@ def _limit(robot: Robot, name: str, value: Any, source: str) -> Array:
     good = limit[:, 0] < limit[:, 1] if ranges else limit >= LEAST
     if not good.all():
         joint = robot.joints[int(np.argmin(good))]
-        rule = "lower must be below upper" if ranges else "must be positive"
+        rule = (
+            "lower must be below upper" if ranges else f"must be positive, {LEAST:g} at least"
+        )
         raise BadInput(f"{source}: {name} limit of joint {joint}: {rule}")
-    return np.where(np.abs(limit) >= UNLIMITED, np.copysign(np.inf, limit), limit)
+    beyond = np.abs(limit) >= UNLIMITED
+    return np.where(beyond, [-np.inf, np.inf] if ranges else np.inf, limit)

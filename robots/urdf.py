@@ -190,7 +190,7 @@ def _refuse_without_limits(root: Element, source: str) -> None:
 
 _LIMITED = ("revolute", "prismatic")
 _STATED = ("effort", "velocity")  # attributes of a limit that URDF requires
-_MOVING = 64  # joints: an analysis takes 20 s and 0.9 GB, and grows with their third power
+_MOVING = 32  # joints: work grows with their third power; humanoids have 30
 _MOST = 1000  # links or joints
 _VECTORS = ("xyz", "rpy", "size", "scale")
 _NUMBERS = {
@@ -226,7 +226,8 @@ def number(text: str, key: str, owner: Element, source: str) -> float:
     if abs(value) > UNLIMITED and key not in LIMIT_KEYS:
         why = "beyond any arm's size"
     if key in ("value", *_STATED) and 0 < abs(value) < LEAST:
-        why = "too little for a body or a limit, and not 0, which means none"
+        what = "body, and not 0, which means no mass" if key == "value" else "limit"
+        why = f"too little for a {what}"
     if why:
         raise BadRobot(
             source, f"{owner.tag} '{owner.get('name')}': {key}=\"{text}\" is {why}"

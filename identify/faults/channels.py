@@ -227,7 +227,7 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
         known = [
             (code, step)
             for code, step in zip(codes, steps, strict=True)
-            if code and name != "q"
+            if code and code.smooth and name != "q"
         ]
         for j, (x, code) in enumerate(zip(columns, codes, strict=True)):
             if code is None and known:

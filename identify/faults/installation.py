@@ -3,9 +3,9 @@
 An `Installation` is what differs: the direction of gravity, zero positions, frames of the given
 inertias, order, signs and coupling of the columns, their units, the clock. The evidence of the
 torque for bodies near the nominal ones (`TorqueFit`) judges it, against that of the arm as its
-model has it, any one link of which may be another body. The search tries every discrete move that
-brings the torque of the nominal bodies nearest, and the best gravity, zero position and clock, each
-sought globally. What positions or torque far beyond the limits show needs no odds.
+model has it, any one link of which may be another body. The search judges the few discrete moves
+that bring the torque of the nominal bodies nearest, and the gravity, zero positions and clock that
+do, each sought from a grid. What positions or torque far beyond the limits show needs no odds.
 
 Denavit and Hartenberg's standard convention gives inertia in the distal frame, at the next joint, a
 URDF at the link's own joint.
@@ -39,6 +39,7 @@ from excitant.identify.faults.fault import (
 from excitant.identify.faults.time import RATES, clock_confirmed, slow_clock
 from excitant.identify.faults.torque_fit import (
     MODEL_ERROR,
+    Smooth,
     TorqueFit,
     is_described,
     smooth,
@@ -552,14 +553,19 @@ def _one(fit: TorqueFit, *faults: Fault, more: float = 0.0) -> Installation:
 
 
 def _unlikeness(fit: TorqueFit, faults: Sequence[Fault] = ()) -> float:
-    """Mean log of the share of each torque that nominal bodies and own effects leave, with faults.
+    """Mean log of the share of torque that nominal bodies and own effects leave, with faults."""
+    installation = Installation(tuple(faults))
+    data = fit.data.remedied(installation.remedies)
+    model = rigid_body_torque(installation.robot(fit.robot), data.motion)
+    return float(_shares(fit, model, data)[[*fit.joints]].mean())
+
+
+def _shares(fit: TorqueFit, model: Array, data: Smooth) -> Array:
+    """Logarithm of these shares, for a torque of the bodies, (N, nv); shape (nv,).
 
     The bodies' torque counts up to a factor of each joint: one that other bodies may make, where
     torque was recorded.
     """
-    installation = Installation(tuple(faults))
-    data = fit.data.remedied(installation.remedies)
-    model = rigid_body_torque(installation.robot(fit.robot), data.motion)
     torques = np.stack([model, data.tau], axis=2).swapaxes(0, 1)
     Q = np.linalg.qr(data.effects.swapaxes(0, 1))[0]
     torques = torques - Q @ (Q.swapaxes(1, 2) @ torques)
@@ -573,7 +579,7 @@ def _unlikeness(fit: TorqueFit, faults: Sequence[Fault] = ()) -> float:
     factor = np.clip(factor, 1 / most, most)
     left = ((measured - factor[:, None] * wanted) ** 2).sum(axis=1)
     share = left / np.maximum((data.tau**2).sum(axis=0), 1e-300)
-    return float(np.log(np.maximum(share, MODEL_ERROR**2)).mean())
+    return np.asarray(np.log(np.maximum(share, MODEL_ERROR**2)), float)
 
 
 def _best(
@@ -950,8 +956,7 @@ def _clock(fit: TorqueFit) -> Iterator[Installation]:
         )
         return [slow_clock(log.joints, factor, detail)]
 
-    for rate in RATES:
-        yield _one(fit, *told(np.log([rate])))
+    yield from _nearest(fit, [_one(fit, *told(np.log([rate]))) for rate in RATES])
     grid = np.log(_FACTORS)
     best = _best(fit, told, grid[:, None], grid[1] - grid[0])
     if np.abs(best) >= SEARCH.clock:
@@ -965,21 +970,32 @@ def _delays(fit: TorqueFit) -> Iterator[Installation]:
 
     Sought at nominal bodies, refined with bodies near them.
     """
-    step = 1 / fit.data.rate
+    data = fit.data
+    step = 1 / data.rate
     rows = int(min(SEARCH.latest, fit.log.duration / 10) / step)
-    lags = step * np.arange(-rows, rows + 1)
-    long = lags[np.abs(lags) > LONGEST_DELAY - step]
-    some = [range(fit.robot.nv), *([j] for j in fit.joints)]
-    tried = [
-        _one(fit, _late(fit, joints, lag), more=2 * float(np.log(len(lags))))
-        for joints, lag in itertools.product(some, long[:, None])
-    ]
-    for nearest in itertools.islice(_nearest(fit, tried), 1):
-        late = _polished(fit, nearest)
-        evidence = late.faults[0].evidence
-        std = float(evidence.get("std", np.inf))
-        if abs(evidence["delay"]) > LONGEST_DELAY + 2 * std:
-            yield late
+    lags = np.linspace(-rows * step, rows * step, 2 * rows + 1)
+    every = tuple(range(fit.robot.nv))
+    model = rigid_body_torque(fit.robot, data.motion)
+    late = (
+        data.remedied([Remedy("advance", "tau", every, factor=lag)])
+        for lag in lags.tolist()
+    )
+    shares = np.array([_shares(fit, model, each) for each in late])
+    rises = (shares - shares[rows])[:, fit.joints]
+    rises = np.column_stack([rises.sum(axis=1), rises])  # of all joints, of each
+    rises[np.abs(lags) <= LONGEST_DELAY - step] = 0.0
+    lag, place = np.unravel_index(np.argmin(rises), rises.shape)
+    if rises[lag, place] == 0:
+        return
+    joints = [every, *((j,) for j in fit.joints)][place]
+    choices = 2 * float(np.log(len(lags)))
+    found = _polished(
+        fit, _one(fit, _late(fit, joints, lags[lag : lag + 1]), more=choices)
+    )
+    evidence = found.faults[0].evidence
+    std = float(evidence.get("std", np.inf))
+    if abs(evidence["delay"]) > LONGEST_DELAY + 2 * std:
+        yield found
 
 
 def _late(
@@ -1055,6 +1071,7 @@ def _zeros(fit: TorqueFit, j: int) -> Iterator[Installation]:
         grid = np.arange(-np.pi, np.pi, SEARCH.step)
         free = _best(fit, told, grid[:, None], SEARCH.step)
         right = SEARCH.right * np.round(free / SEARCH.right)
-        yield _one(fit, *told(free), more=2 * float(np.log(SEARCH.scales)))
+        if np.abs(free) > SEARCH.turn:
+            yield _one(fit, *told(free), more=2 * float(np.log(SEARCH.scales)))
         if right.any():
             yield _one(fit, *told(right))

@@ -127,6 +127,22 @@ def nominal_bodies(robot: Robot) -> Array:
     return read_only(np.column_stack([spread, bodies.ravel()]))
 
 
+class Sums(NamedTuple):
+    """Sums over the rows of a fit, for k joints and u unknowns.
+
+    Attributes:
+        grams: Products of the columns of what is not known and of its error, without what each
+            joint's own effects explain, shape (k, u + 1, u + 1).
+        unexplained: Torque that no bodies explain that are the same for all joints, shape (n, k).
+        friction: Power of each joint's friction in these columns, and its variance per that of the
+            noise, shape (k, u + 2).
+    """
+
+    grams: Array
+    unexplained: Array
+    friction: Array
+
+
 @dataclass(frozen=True, eq=False)
 class TorqueFit:
     """A log's filtered torque and the columns that may make it.
@@ -155,8 +171,7 @@ class TorqueFit:
         """Columns of each joint's own effects, shape (n, nv, 4)."""
         return self.data.filtered(self.data.effects)
 
-    @cached_property
-    def X(self) -> Array:
+    def columns(self) -> Array:
         """Filtered columns of the links in `nominal_bodies`, shape (n, nv, 10 nv + 1)."""
         columns = regressor(self.robot, self.data.motion)
         return self.data.filtered(columns @ nominal_bodies(self.robot))
@@ -169,10 +184,11 @@ class TorqueFit:
     @cached_property
     def gains(self) -> tuple[Array, Array]:
         """Readings per torque of the nominal bodies, and their relative std, shape (k,) each."""
+        X = self.columns()
         gains = []
         stds = []
         for j in self.joints:
-            columns, y = without_effects(self.F[:, j], self.X[:, j], self.tau[:, j])
+            columns, y = without_effects(self.F[:, j], X[:, j], self.tau[:, j])
             nominal = columns[:, -1]
             along = max(float(nominal @ nominal), len(y) * 1e-24)
             gain = float(nominal @ y) / along
@@ -196,12 +212,12 @@ class TorqueFit:
             else np.zeros(len(unknown))
         )
 
-    @cached_property
     def unknown(self) -> list[Array]:
         """Columns of each joint of what is not known, and its error at nominal values, (n, u + 1).
 
         Unknown are u = 10 nv + k: bodies, and the gains of the joints.
         """
+        X = self.columns()
         gains = np.ones(len(self.joints))
         if self.loose.any():
             gains = np.where(self.loose > 0, self.gains[0], gains)
@@ -209,7 +225,7 @@ class TorqueFit:
         for j, gain, own in zip(
             self.joints, gains, np.eye(len(gains)), strict=True
         ):
-            columns = gain * self.X[:, j]
+            columns = gain * X[:, j]
             nominal = columns[:, -1]
             by_gain = np.outer(nominal, own)
             error = nominal - self.tau[:, j]
@@ -217,40 +233,41 @@ class TorqueFit:
         return joints
 
     @cached_property
-    def free(self) -> list[Array]:
-        """The same without what each joint's own effects explain."""
-        pairs = zip(self.joints, self.unknown, strict=True)
-        return [without_effects(self.F[:, j], own)[0] for j, own in pairs]
+    def sums(self) -> Sums:
+        """What is kept of the columns, which are many times as large."""
+        friction = []
+        free = []
+        for j, columns in zip(self.joints, self.unknown(), strict=True):
+            F = self.F[:, j]
+            braking = np.append(F[:, 0] @ F[:, :2], np.zeros(2))
+            x = _solve(F.T @ F, braking)
+            friction.append(np.append(F @ x @ columns, braking @ x))
+            free.append(without_effects(F, columns)[0])
+        grams = np.array([columns.T @ columns for columns in free])
+        return Sums(grams, self._unexplained(free, grams), np.array(friction))
 
-    @cached_property
-    def grams(self) -> Array:
-        """Products of these columns at each joint, shape (k, u + 1, u + 1)."""
-        return np.array([columns.T @ columns for columns in self.free])
-
-    @cached_property
-    def unexplained(self) -> Array:
-        """Torque that no bodies explain that are the same for all joints, shape (n, k)."""
+    def _unexplained(self, free: Sequence[Array], products: Array) -> Array:
         bodies = slice(10 * self.robot.nv)
-        grams = self.grams[:, bodies, bodies]
-        products = self.grams[:, bodies, -1]
+        grams = products[:, bodies, bodies]
+        torques = products[:, bodies, -1]
         least = 1e-10 * self.size[self.joints]
 
         def error(z: Sequence[Array]) -> Array:
-            known = zip(self.free, z, strict=True)
+            known = zip(free, z, strict=True)
             return np.stack(
                 [own[:, bodies] @ x - own[:, -1] for own, x in known], 1
             )
 
-        alone = error(list(map(_solve, grams, products)))
+        alone = error(list(map(_solve, grams, torques)))
         weight = 1 / np.maximum((alone**2).mean(axis=0), least)
-        z = _solve(np.tensordot(weight, grams, 1), weight @ products)
+        z = _solve(np.tensordot(weight, grams, 1), weight @ torques)
         return error([z] * len(grams))
 
     @cached_property
     def power(self) -> Array:
         """Mean square of each torque that no bodies explain, shape (nv,)."""
         power = self.size.copy()
-        noise = (self.unexplained**2).mean(axis=0)
+        noise = (self.sums.unexplained**2).mean(axis=0)
         power[self.joints] = np.maximum(noise, 1e-10 * power[self.joints])
         return power
 
@@ -258,7 +275,7 @@ class TorqueFit:
     def rows(self) -> Array:
         """Independent rows of each joint's error, shape (nv,)."""
         rows = np.ones(self.robot.nv)
-        for j, error in zip(self.joints, self.unexplained.T, strict=True):
+        for j, error in zip(self.joints, self.sums.unexplained.T, strict=True):
             if error.any():
                 rows[j] = len(error) / autocorrelation_time(error)
         return rows
@@ -267,22 +284,6 @@ class TorqueFit:
         """Weight of each joint's squares, for noise and independent rows, (nv,) each; (k,)."""
         noise = noise + MODEL_ERROR**2 * self.size
         return np.asarray((rows / len(self.tau) / noise)[self.joints], float)
-
-    @cached_property
-    def _friction(self) -> tuple[Array, Array]:
-        """Power of each joint's friction in its columns `unknown`, shape (k, u + 1).
-
-        Also its variance per that of the noise, (k,).
-        """
-        power = []
-        variance = []
-        for j, columns in zip(self.joints, self.unknown, strict=True):
-            F = self.F[:, j]
-            braking = np.append(F[:, 0] @ F[:, :2], np.zeros(2))
-            x = _solve(F.T @ F, braking)
-            power.append(F @ x @ columns)
-            variance.append(braking @ x)
-        return np.array(power), np.array(variance)
 
     def surprise(
         self, noise: Array, rows: Array, other: int
@@ -302,11 +303,11 @@ class TorqueFit:
         root = L[:-1, :-1]
         occam = 2 * float(np.log(np.diag(root)).sum())
         # power of the friction, of which errors of bodies and of gains take a part
-        friction, variance = self._friction
-        reach = friction[:, :-1] * self._std(other)
+        friction = self.sums.friction
+        reach = friction[:, :-2] * self._std(other)
         solved = scipy.linalg.solve_triangular(root, reach.T, lower=True)
-        power = L[-1, :-1] @ solved - friction[:, -1]
-        variance = variance / weight + (solved**2).sum(axis=0)
+        power = L[-1, :-1] @ solved - friction[:, -2]
+        variance = friction[:, -1] / weight + (solved**2).sum(axis=0)
         # dry friction of a joint that stands could be anything
         moving = self.log.moving[:, self.joints].any(axis=0)
         driving = np.where(moving, np.minimum(power, 0.0), 0.0) ** 2
@@ -332,7 +333,7 @@ class TorqueFit:
         The square of the last pivot is that of the residual and of what is not known together.
         """
         std = np.append(self._std(other), 1.0)
-        A = np.tensordot(weight, self.grams, 1) * np.outer(std, std)
+        A = np.tensordot(weight, self.sums.grams, 1) * np.outer(std, std)
         # rounding, where the prior hardly bounds a body
         A += np.diag(1e-12 * np.diag(A))
         A += np.diag(np.append(np.ones(len(A) - 1), 0.0))

@@ -147,8 +147,8 @@ def test_threshold_asks_more_of_more_coefficients_shapes_and_fewer_blocks() -> N
 
 def test_standard_effects_need_less_evidence_when_tested_among_themselves(planar: Robot) -> None:
     faint = (evidence(3, planted=size) for size in np.linspace(0.0, 0.1, 101))
-    e = next(e for e in faint if completed(e, planar, []))
-    assert completed(e, planar, []) == [e.candidates[2]]
+    e = next(e for e in faint if completed(e, planar, [], set()))
+    assert completed(e, planar, [], set()) == [e.candidates[2]]
     assert not called_for(e)
 
 

@@ -173,7 +173,7 @@ OVER = "model: gantry.urdf\n"
 REFUSED = [  # a file, what is written in place of a part of it or at its start, what is said
     ("gantry.urdf", 'mass value="1.5"', 'mass value="nan"', "box"),
     ("gantry.urdf", 'mass value="1.5"', 'mass value="1e-320"', "is too little for a body"),
-    ("gantry.urdf", 'velocity="', 'velocity="1e-300" was="', "is too little for .* a limit"),
+    ("gantry.urdf", 'velocity="', 'velocity="1e-300" was="', "is too little for a limit"),
     ("gantry.urdf", 'ixx="0.003"', 'ixx="small"', "box"),
     ("gantry.urdf", 'upper="1.5"', 'upper="inf"', "slide"),
     ("gantry.urdf", 'child link="box"', 'child link="bux"', "weld"),
@@ -292,7 +292,7 @@ def test_more_joints_than_can_be_examined_are_refused(tmp_path):
     bodies = "".join(body.format(k) for k in range(70))
     path = tmp_path / "many.xml"
     path.write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
-    assert "70 moving joints, more than 64" in refused(
+    assert "70 moving joints, more than 32" in refused(
         "choose some with --joints", load_robot, path
     )
 
