@@ -411,9 +411,13 @@ def _judged(
             or reason_to_downgrade(mounted.robot, finding, ordered, left, body_std)
         )
 
-    absent = [f for f in ordered if reason(f)]
+    reasons = [reason(finding) for finding in ordered]
+    absent = [f for f, why in zip(ordered, reasons, strict=True) if why]
     ordered = [fit.unsure_of(f, absent) for f in ordered]
-    return [replace(f, downgrade=reason(f)) for f in ordered]
+    return [
+        replace(f, downgrade=why or reason(f))
+        for f, why in zip(ordered, reasons, strict=True)
+    ]
 
 
 def _coarse_sentence(share: Array, joints: Sequence[str]) -> str:

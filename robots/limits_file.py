@@ -117,7 +117,9 @@ def _limit(robot: Robot, name: str, value: Any, source: str) -> Array:
     if not good.all():
         joint = robot.joints[int(np.argmin(good))]
         rule = (
-            "lower must be below upper" if ranges else f"must be positive, {LEAST:g} at least"
+            "lower must be below upper"
+            if ranges
+            else f"must be positive, {LEAST:g} at least"
         )
         raise BadInput(f"{source}: {name} limit of joint {joint}: {rule}")
     beyond = np.abs(limit) >= UNLIMITED

@@ -101,6 +101,8 @@ class Search:
 
 
 SEARCH = Search()
+ANY_VALUE = 2 * float(np.log(SEARCH.scales))
+"""Twice the log of the values that an angle or a factor may as well have, if any will do."""
 _SERVOS = (360.0, 300.0, 270.0, 180.0)
 """Ranges [°] that the positions of servos count through."""
 _FACTORS = np.geomspace(1e-3, 1e3, 49)
@@ -918,7 +920,7 @@ def _scales(fit: TorqueFit) -> Iterator[Installation]:
     )
     fault = Fault("wrong_unit", unscaled, detail, {"channel": "tau"})
     factors = 1 if one else len(names)
-    yield _one(fit, fault, more=2 * factors * float(np.log(SEARCH.scales)))
+    yield _one(fit, fault, more=factors * ANY_VALUE)
 
 
 def _frames(fit: TorqueFit) -> Iterator[Installation]:
@@ -961,8 +963,7 @@ def _clock(fit: TorqueFit) -> Iterator[Installation]:
     best = _best(fit, told, grid[:, None], grid[1] - grid[0])
     if np.abs(best) >= SEARCH.clock:
         # an odd factor may stand for anything that the model lacks
-        odd = 2 * float(np.log(SEARCH.scales))
-        yield _one(fit, *told(best), more=odd)
+        yield _one(fit, *told(best), more=ANY_VALUE)
 
 
 def _delays(fit: TorqueFit) -> Iterator[Installation]:
@@ -1032,7 +1033,7 @@ def _mounting(fit: TorqueFit) -> Iterator[Installation]:
     def told(gravity: Array) -> list[Fault]:
         return [_mounted(fit, range(fit.robot.nv), gravity)]
 
-    yield _one(fit, *told(_best(fit, told, axes, 0.5)))
+    yield _one(fit, *told(_best(fit, told, axes, 0.5)), more=ANY_VALUE)
 
 
 def _mounted(
@@ -1072,6 +1073,6 @@ def _zeros(fit: TorqueFit, j: int) -> Iterator[Installation]:
         free = _best(fit, told, grid[:, None], SEARCH.step)
         right = SEARCH.right * np.round(free / SEARCH.right)
         if np.abs(free) > SEARCH.turn:
-            yield _one(fit, *told(free), more=2 * float(np.log(SEARCH.scales)))
+            yield _one(fit, *told(free), more=ANY_VALUE)
         if right.any():
             yield _one(fit, *told(right))

@@ -270,7 +270,8 @@ class Run:
             if self.json:
                 print_json(ex.reports.as_saved(result, {})[0])
             else:
-                told = ex.reports.brief(page, terminal=sys.stdout.isatty())
+                terminal = bool(sys.stdout and sys.stdout.isatty())
+                told = ex.reports.brief(page, terminal=terminal)
                 print(
                     *(one_line(line) for line in first if line),
                     told,
