@@ -128,7 +128,7 @@ def nominal_bodies(robot: Robot) -> Array:
 
 
 class Sums(NamedTuple):
-    """Sums over the rows of a fit, for k joints and u unknowns.
+    """Sums over the rows of a fit of k joints, for u = 10 nv + k unknowns: bodies, and gains.
 
     Attributes:
         grams: Products of the columns of what is not known and of its error, without what each
@@ -136,11 +136,13 @@ class Sums(NamedTuple):
         unexplained: Torque that no bodies explain that are the same for all joints, shape (n, k).
         friction: Power of each joint's friction in these columns, and its variance per that of the
             noise, shape (k, u + 2).
+        loose: Relative std of the gain of each of the joints; 0 for torques, shape (k,).
     """
 
     grams: Array
     unexplained: Array
     friction: Array
+    loose: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +173,7 @@ class TorqueFit:
         """Columns of each joint's own effects, shape (n, nv, 4)."""
         return self.data.filtered(self.data.effects)
 
-    def columns(self) -> Array:
+    def _columns(self) -> Array:
         """Filtered columns of the links in `nominal_bodies`, shape (n, nv, 10 nv + 1)."""
         columns = regressor(self.robot, self.data.motion)
         return self.data.filtered(columns @ nominal_bodies(self.robot))
@@ -184,7 +186,9 @@ class TorqueFit:
     @cached_property
     def gains(self) -> tuple[Array, Array]:
         """Readings per torque of the nominal bodies, and their relative std, shape (k,) each."""
-        X = self.columns()
+        return self._gains(self._columns())
+
+    def _gains(self, X: Array) -> tuple[Array, Array]:
         gains = []
         stds = []
         for j in self.joints:
@@ -201,50 +205,35 @@ class TorqueFit:
         return np.array(gains), np.array(stds)
 
     @cached_property
-    def loose(self) -> Array:
-        """Relative std of the gain of each of the joints; 0 for torques, shape (k,)."""
-        unknown = [
-            self.log.unit != "N·m" or j in self.unscaled for j in self.joints
-        ]
-        return (
-            np.where(unknown, self.gains[1], 0.0)
-            if any(unknown)
-            else np.zeros(len(unknown))
-        )
-
-    def unknown(self) -> list[Array]:
-        """Columns of each joint of what is not known, and its error at nominal values, (n, u + 1).
-
-        Unknown are u = 10 nv + k: bodies, and the gains of the joints.
-        """
-        X = self.columns()
-        gains = np.ones(len(self.joints))
-        if self.loose.any():
-            gains = np.where(self.loose > 0, self.gains[0], gains)
-        joints = []
-        for j, gain, own in zip(
-            self.joints, gains, np.eye(len(gains)), strict=True
-        ):
-            columns = gain * X[:, j]
-            nominal = columns[:, -1]
-            by_gain = np.outer(nominal, own)
-            error = nominal - self.tau[:, j]
-            joints.append(np.column_stack([columns[:, :-1], by_gain, error]))
-        return joints
-
-    @cached_property
     def sums(self) -> Sums:
         """What is kept of the columns, which are many times as large."""
+        X = self._columns()
+        gains = np.ones(len(self.joints))
+        loose = np.zeros(len(self.joints))
+        unscaled = [
+            self.log.unit != "N·m" or j in self.unscaled for j in self.joints
+        ]
+        if any(unscaled):
+            suited, std = self._gains(X)
+            gains = np.where(unscaled, suited, gains)
+            loose = np.where(unscaled, std, loose)
         friction = []
         free = []
-        for j, columns in zip(self.joints, self.unknown(), strict=True):
+        by_gains = np.eye(len(gains))
+        for j, gain, own in zip(self.joints, gains, by_gains, strict=True):
             F = self.F[:, j]
+            torque = gain * X[:, j]
+            nominal = torque[:, -1]
+            error = nominal - self.tau[:, j]
+            unknown = [torque[:, :-1], np.outer(nominal, own), error]
+            columns = np.column_stack(unknown)
             braking = np.append(F[:, 0] @ F[:, :2], np.zeros(2))
             x = _solve(F.T @ F, braking)
             friction.append(np.append(F @ x @ columns, braking @ x))
             free.append(without_effects(F, columns)[0])
         grams = np.array([columns.T @ columns for columns in free])
-        return Sums(grams, self._unexplained(free, grams), np.array(friction))
+        unexplained = self._unexplained(free, grams)
+        return Sums(grams, unexplained, np.array(friction), loose)
 
     def _unexplained(self, free: Sequence[Array], products: Array) -> Array:
         bodies = slice(10 * self.robot.nv)
@@ -325,7 +314,7 @@ class TorqueFit:
         """Std of what is not known: bodies in `BODY_STD`, and gains, shape (u,)."""
         std = np.ones((self.robot.nv, 10))
         std[other] = TOOL if other == self.robot.nv - 1 else ANOTHER_BODY
-        return np.append(std, self.loose)
+        return np.append(std, self.sums.loose)
 
     def _factor(self, weight: Array, other: int) -> Array:
         """Cholesky factor, (u + 1, u + 1), of the information, bordered by the torque.
