@@ -329,6 +329,7 @@ class _Rows(NamedTuple):
     """Rows to fit a model to."""
 
     effects: list[Effect]  # of the model
+    names: tuple[str, ...]  # of its parameters
     W: Array  # columns of bodies and effects, (n, nv, p)
     R: Array  # the same whitened, without the noise of positions where it can be told
     noisy: Array  # the same with that noise
@@ -377,7 +378,7 @@ class Extender:
             self.evidence,
             tuple(chosen),
             model,
-            column_names(robot, rows.effects),
+            rows.names,
             fit.covariance + np.outer(bias, bias),
             observed,
             observed.torque() / self.holdout.gains,
@@ -416,7 +417,7 @@ class Extender:
         if noise is not None:
             errors = dense(noise, self.tau, names, used).gram(weight**2)
             R = without_noise(R, errors[:-1, :-1])
-        return _Rows(effects, W, R, noisy, z)
+        return _Rows(effects, names, W, R, noisy, z)
 
     def _fit(self, chosen: Sequence[Candidate], rows: _Rows) -> PhysicalFit:
         bodies = self._body_prior(chosen)

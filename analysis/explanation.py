@@ -265,7 +265,7 @@ def coefficients(finding: Finding, diagnosis: Diagnosis) -> Coefficients:
     factors = np.array([factor for factor, _ in scales])
     # amperes do not depend on the gain
     by_gains = np.where(factors == 1, finding.by_gains, 0.0)
-    covariance = finding.covariance + np.outer(by_gains, by_gains)
+    covariance = replace(finding, by_gains=by_gains).total
     return Coefficients(
         factors * values,
         factors * finding.nominal,

@@ -207,8 +207,9 @@ class SearchThresholds:
     """Searches at most, as effects may depend on the model that they find. Convention."""
 
     gain: float = 0.01
-    """Squared error falls by less than this share: the round is the last. By no more may friction
-    that turns over a range of speeds, which predicts rest, raise that of motion. Convention."""
+    """Squared error falls by less than this share: the round is the last, or nothing is added. By
+    no more may friction that turns over a range of speeds, which predicts rest, raise that of
+    motion. Convention."""
 
     own_scale: float = 0.5
     """Variance of the common scale of drive gains over that which the nominal bodies leave, at

@@ -125,7 +125,7 @@ def run(seed: int, number: int, tell: bool = False, differ: bool = False) -> dic
         if differ:
             told = identify_robot(robot, [fitted], validate=[holdout]).differences
             few = {"verdict": "named", "rivals": [], "parameters": []}
-            findings = [d.entry(robot) | few | {"share": d.left} for d in told]
+            findings = [d.entry(robot) | few | {"explained": 1 - d.left} for d in told]
         else:
             diagnosis = diagnose(robot, [fitted], validate=[holdout])
             findings = apart(diagnosis.result()["findings"])
@@ -157,7 +157,7 @@ def plain(value: Any) -> Any:
 
 
 def brief(finding: dict[str, Any]) -> dict[str, Any]:
-    share = round(finding["share"] if "share" in finding else finding["explained"], 4)
+    share = round(finding.get("share", finding.get("explained")), 4)
     rivals = [[r["effect"], r["joints"]] for r in finding["rivals"]]
     named = {key: finding[key] for key in ("effect", "joints", "verdict")}
     values = {p["name"]: [p["value"], p["std"]] for p in finding["parameters"]}

@@ -266,7 +266,7 @@ def unsure_zeros(robot: Robot, differences: Sequence[Difference]) -> list[str]:
     return [
         f"{each.sentence(robot)}; say which zero position is right, or leave that recording out"
         for each in differences
-        if {e.name for e in (each.effect, *each.rivals)} == {"encoder_offset"}
+        if all(map(_is_zero, (each.effect, *each.rivals)))
     ]
 
 

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from excitant.robots.robot import Robot
 
 LIMIT_NAMES = ("position", "velocity", "acceleration", "torque", "jerk")
+UNLIMITED = 1e9  # kg, m, rad, kg·m², N·m: beyond any arm's size; of a limit, that there is none
 LEAST = 1e-12  # kg: a cube of steel of 5 µm; rad/s, N·m or the like: nothing moves
 # of a joint's range: wrists turn up to 5 or without end, a limit of 30° read as 30 rad 10
 MOST_TURNS = 6.0

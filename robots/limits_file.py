@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.robots.limits import LEAST, LIMIT_NAMES, Limits
+from excitant.robots.limits import LEAST, LIMIT_NAMES, UNLIMITED, Limits
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.schema import LimitsRecord, convert, read_yaml
-from excitant.robots.urdf_writer import UNLIMITED
 
 _ROS = ("position", "velocity", "acceleration", "effort", "jerk")
 

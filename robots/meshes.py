@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from excitant.exceptions import BadRobot
 from excitant.limited import Exceeded, in_child
+from excitant.robots.limits import UNLIMITED
 from excitant.robots.motion import Array
 
 Mesh = tuple[Path, tuple[float, float, float]]
@@ -29,7 +30,6 @@ FORMATS = (".stl", ".dae", ".obj", ".ply", ".glb")
 """Ends of names of the formats that keep all of a mesh in one file."""
 
 _FLAT = 1e-6  # of a mesh's size: thinner is flat, and made so thick; STL keeps 6e-8
-_LARGEST = 1e9  # m, as of anything that is part of an arm
 _SMALLEST = 1e-9  # m: smaller is nothing
 
 
@@ -110,7 +110,7 @@ def _read(file: str) -> Iterator[None]:
 
 def _solid(points: Array, file: str) -> Array:
     """Points that do not lie in a plane: those given, or where they do, on both sides of it."""
-    if not (np.abs(points) < _LARGEST).all():
+    if not (np.abs(points) < UNLIMITED).all():
         raise ValueError(f"{file}: a number is not finite or beyond any arm's size")
     centred = points - points.mean(axis=0)
     _, (long, wide, thick), axes = np.linalg.svd(centred, full_matrices=False)

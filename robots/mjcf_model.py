@@ -22,6 +22,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.robots.angles import Angles
+from excitant.robots.limits import UNLIMITED
 from excitant.robots.motion import Array
 from excitant.robots.urdf_writer import (
     collision,
@@ -122,12 +123,12 @@ def _check_numbers(model: Any) -> None:
     """Refuse NaN, infinities and numbers beyond any arm in what is taken of a model."""
     for name in _TAKEN:
         values = np.asarray(getattr(model, name), float)
-        if values.size and not np.abs(values).max() < 1e9:
+        if values.size and not np.abs(values).max() < UNLIMITED:
             what = name.partition("_")[2].replace("_", " ")
             raise ValueError(
                 f"a number is not finite or beyond any arm's size ({what})"
             )
-    if not np.abs(model.opt.gravity).max() < 1e9:
+    if not np.abs(model.opt.gravity).max() < UNLIMITED:
         raise ValueError("gravity is not finite or beyond reason; give it in m/s²")
 
 

@@ -17,14 +17,13 @@ from excitant.files import real_path
 from excitant.robots.angles import Angles
 from excitant.robots.chains import RobotSpec, held_joints, tree
 from excitant.robots.files import parse_xml
-from excitant.robots.limits import LEAST, Limits
+from excitant.robots.limits import LEAST, UNLIMITED, Limits
 from excitant.robots.robot import Robot
 from excitant.robots.urdf_model import build_model, held_pose, restore_link_names
 from excitant.robots.urdf_shapes import URDF
 from excitant.robots.urdf_writer import (
     ENDS,
     LIMIT_KEYS,
-    UNLIMITED,
     child_attribute,
     stated_joints,
 )

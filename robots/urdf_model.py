@@ -12,8 +12,9 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import pinocchio as pin
 
 from excitant.exceptions import BadRobot
+from excitant.robots.limits import UNLIMITED
 from excitant.robots.motion import Array
-from excitant.robots.urdf_writer import ENDS, UNLIMITED
+from excitant.robots.urdf_writer import ENDS
 
 _RENAMED = " (link)"  # after the name of a link that is also that of a joint
 

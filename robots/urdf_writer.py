@@ -11,13 +11,13 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.robots.chains import tree
+from excitant.robots.limits import UNLIMITED
 from excitant.robots.motion import Array
 from excitant.robots.parameters import elements, steiner
 
 if TYPE_CHECKING:
     from excitant.robots.robot import Robot
 
-UNLIMITED = 1e9
 ENDS = ("parent", "child")
 # large numbers that mean no limit
 LIMIT_KEYS = ("lower", "upper", "effort", "velocity")
