@@ -148,9 +148,13 @@ def fit_physical(
     solution = solve(program, centre)
     covariance, root = _uncertainty(program, solution.y, scale)
     x = scale @ solution.y
-    scalar = slice(prior.bodies.size, None)
-    on_bound = x[scalar] - effects.lower < _ROUNDING * np.diag(scale)[scalar]
-    x[scalar] = np.where(on_bound, effects.lower, x[scalar])
+    given = np.concatenate([prior.bodies.ravel(), effects.mean])
+    lower = np.concatenate(
+        [np.full(prior.bodies.size, -np.inf), effects.lower]
+    )
+    rounding = _ROUNDING * np.linalg.norm(scale, axis=1)
+    x = np.where(np.abs(x - given) < rounding, given, x)
+    x = np.where(x - lower < rounding, lower, x)
     return PhysicalFit(
         x=x,
         covariance=covariance,

@@ -42,6 +42,10 @@ _MEANING = (
     "springs, ripple. Load: gain, load-dependent friction. Distance since the last reversal: "
     "hysteresis, backlash. Time: drift."
 )
+_WITHOUT_STD = (
+    " (a dash: held or chosen from a grid, of a link that torque shows only together with others, "
+    "or of a cause that is not decided)"
+)
 _FIRST = 7  # findings in the first table
 _NAMED = 3  # joints in a title
 _LEADING = 3  # findings that are shown without opening a fold
@@ -331,7 +335,7 @@ def _parameters(finding: Finding) -> p.Table | None:
             ),
         ],
         f"{'Value in the given model, and f' if given else 'F'}itted value with its standard "
-        "deviation" + (" (a dash: chosen from a grid, or held)." if fixed else "."),
+        f"deviation{_WITHOUT_STD if fixed else ''}.",
         p.folded(f"All {len(rows)} fitted parameters", len(rows)),
     )
 
