@@ -150,8 +150,8 @@ def estimated(
         robust, sentence = _robust(problem, fit, rows.robot.joints)
         if sentence:
             return robust, "irls", (sentence,)
-        unbiased, sentence = _instrumental(rows, recordings, fit)
-        return (unbiased, "iv", (sentence,)) if sentence else (fit, "wls", ())
+        fit, sentence = _instrumental(rows, recordings, fit)
+        return (fit, "iv", (sentence,)) if sentence else (fit, "wls", ())
     if name == "wls":
         return weighted_least_squares(problem), name, ()
     note = f"base parameters by {ESTIMATORS[name]}"
@@ -243,6 +243,7 @@ def _instrumental(
     n rows in all, instruments, which have no bias, miss tr G C_iv of the torque's variance, and
     least squares, whose bias is b, bᵀ G b + tr G C, where E d dᵀ = b bᵀ + C_iv − C (Hausman 1978).
     Noise is independent in W from even and from odd samples: it is no part of their product G.
+    Least squares that stays, as instruments are weak, has d dᵀ in its covariance: d may be bias.
     """
     share = coarseness(rows.data.train)
     if not (share > ATTENUATION).any():
@@ -264,9 +265,10 @@ def _instrumental(
         return power(vectors * np.sqrt(np.maximum(values, 0.0)))
 
     more = max(variance(found.covariance) - variance(fit.covariance), 0.0)
-    bias = power((fit.beta - found.beta)[:, None]) - more
+    d = fit.beta - found.beta
+    bias = power(d[:, None]) - more
     if bias <= more:
-        return fit, ""
+        return replace(fit, covariance=fit.covariance + np.outer(d, d)), ""
     worst = int(np.argmax(share))
     return found, (
         f"positions are coarse beside the motion (noise of {100 * share[worst]:.2g} % of the "
