@@ -221,13 +221,17 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
         steps = log.quanta[name]
         columns = list(values.T)
         codes = [_turns(x) if name == "q" else _unsigned(x) for x in columns]
-        # friction at a reversal makes torque jump as well, but not smoothly when decoded
-        if not any(code and code.smooth for code in codes):
+        most = np.broadcast_to(log.most if name == "tau" else np.inf, log.nv)
+        sure = [
+            code is not None and (code.smooth or code.allows(x, limit))
+            for code, x, limit in zip(codes, columns, most, strict=True)
+        ]
+        if not any(sure):
             continue
         known = [
             (code, step)
-            for code, step in zip(codes, steps, strict=True)
-            if code and code.smooth and name != "q"
+            for code, step, clear in zip(codes, steps, sure, strict=True)
+            if code and clear and name != "q"
         ]
         for j, (x, code) in enumerate(zip(columns, codes, strict=True)):
             if code is None and known:
@@ -280,6 +284,14 @@ class _Code(NamedTuple):
     def decode(self, x: Array) -> Array:
         """The values that were coded so."""
         return DECODED[self.action](x, self.size)
+
+    def allows(self, x: Array, limit: float) -> bool:
+        """Whether a torque is beyond what its drive can give but for this code.
+
+        Friction at a reversal makes torque jump as well, but within that limit.
+        """
+        decoded = np.delete(self.decode(x), self.between)
+        return bool(np.abs(decoded).max() <= limit < np.abs(x).max())
 
 
 def _turns(x: Array) -> _Code | None:

@@ -82,6 +82,7 @@ class Log(Recording):
     """A recording of named joints before anything is believed of it, and what is usual in it."""
 
     joints: tuple[str, ...] = ()
+    most: float | Array = np.inf  # torque that drives can give, (nv,) [N·m]
 
     @classmethod
     def of(cls, robot: Robot, recording: Recording) -> Log:
@@ -90,7 +91,10 @@ class Log(Recording):
             name: getattr(recording, name)
             for name in ("t", "q", "tau", "dq", "unit")
         }
-        return cls(recording.name, recording.file, **known, joints=robot.joints)
+        most = robot.limits.torque if recording.unit == "N·m" else np.inf
+        return cls(
+            recording.name, recording.file, **known, joints=robot.joints, most=most
+        )
 
     def names(self, joints: Any) -> tuple[str, ...]:
         """Names of joints by index."""
