@@ -232,12 +232,12 @@ def sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     """A cause in words, with its size: ± one standard deviation, or its range over joints."""
     lead = group[0].effect
     joints = list(dict.fromkeys(joint for f in group for joint in f.effect.joints))
-    kinds: dict[str, list[Finding]] = {}
-    for f in group:
-        kinds.setdefault(f.effect.name, []).append(f)
-    if len(kinds) > 1:
-        ranges = ", ".join(_ranges(part, diagnosis) for part in kinds.values())
-        return f"Friction of {len(joints)} joints is not in the model: {ranges}"
+    if len({f.effect.name for f in group}) > 1:
+        named = _kinds([f for f in group if f.verdict == "named"], diagnosis)
+        others = _kinds([f for f in group if f.verdict != "named"], diagnosis)
+        beside = f"; undecided: {others}" if named and others else ""
+        kinds = f"{named or others}{beside}"
+        return f"Friction of {len(joints)} joints is not in the model: {kinds}"
     alike = group if len(joints) == 1 else group[:1]
     of_all = [size for f in alike for size in sizes(f, diagnosis)]
     text = lead.words.sentence(lead, diagnosis.robot, joints, of_all)
@@ -282,6 +282,14 @@ def sizes(finding: Finding, diagnosis: Diagnosis) -> tuple[Size, ...]:
     if finding.verdict == "named":
         return found
     return tuple(replace(size, std=np.nan) for size in found)
+
+
+def _kinds(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
+    """Effects one by one, the range of each of their sizes."""
+    kinds: dict[str, list[Finding]] = {}
+    for f in group:
+        kinds.setdefault(f.effect.name, []).append(f)
+    return ", ".join(_ranges(part, diagnosis) for part in kinds.values())
 
 
 def _ranges(group: Sequence[Finding], diagnosis: Diagnosis) -> str:

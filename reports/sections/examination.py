@@ -98,10 +98,12 @@ def _cause_at(joint: str, findings: Sequence[Finding]) -> str:
     for finding in findings:
         if joint in finding.joints:
             kinds = [part for part in finding.parts if joint in part.joints]
-            names = dict.fromkeys(
-                v.plain(part.effect) for part in kinds or [finding]
+            kinds = kinds or [finding]
+            named = [kind for kind in kinds if kind.verdict == "named"]
+            names = dict.fromkeys(v.plain(kind.effect) for kind in named or kinds)
+            undecided = " (undecided)" * (
+                not named and finding.verdict != "unknown"
             )
-            undecided = " (undecided)" * (finding.verdict == "undecided")
             more = " and more" * (len(names) > 2)
             return v.listing([*names][:2]) + more + undecided
     return NONE
