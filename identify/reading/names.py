@@ -93,6 +93,8 @@ def meaning(column: str, joints: Sequence[str] = ()) -> Meaning:
     words, unit = _split(column)
     joint: str | int | None
     joint, others = _joint_named_in(words, joints)
+    # of a joint that slides; a number may count the axes of a sensor at the tool
+    others = ["torque" if word == "force" else word for word in others]
     if joint is not None and _quantity(others)[0] is not None:
         words = others
     else:
@@ -128,7 +130,7 @@ def _split(column: str) -> tuple[list[str], str | None]:
     chunks = [chunk for chunk in _SEPARATORS.split(plain) if chunk]
     words: list[str] = []
     for chunk in chunks:
-        telling = len(chunk) > 1 or (chunk == "A" and len(chunks) > 1)
+        telling = len(chunk) > 1 or (chunk in ("A", "N") and len(chunks) > 1)
         here = spelled(chunk) if telling else None
         if unit in _LENGTHS_AND_ANGLES and "s" in (chunk, here):
             unit = f"{unit}/s"
