@@ -415,7 +415,8 @@ def _not_physical(robot: Robot, body: Body) -> Iterator[str]:
             moment = body.second_moment
             shifted = np.linalg.eigvalsh(moment + np.outer(body.com, body.com))
             spread = np.linalg.eigvalsh(moment)
-            if not np.diag(body.inertia).all():
+            lever = body.mass * float(body.com @ body.com)
+            if (np.abs(np.diag(body.inertia)) <= _ROUNDING * lever).any():
                 advice = "a moment that is zero or missing: give ixx, iyy and izz"
             elif shifted[0] > 0 and np.linalg.norm(body.com) > _EXTENT:
                 advice = (

@@ -222,6 +222,8 @@ def _remedy(fault: Fault) -> str:
         return "not repaired; state in --map the rate"
     if fault.evidence.get("channel") == "inertia":
         return "not repaired; correct that file"
+    if fault.fault == "wrong_mounting":
+        return "not repaired; state the gravity in robot.yaml"
     known = "state it in --map" if fault.fault == "wrong_unit" else "record again"
     return f"not repaired; {stated or known}"
 
