@@ -129,7 +129,7 @@ class Size:
     given: float = 0.0
 
     def __str__(self) -> str:
-        text = f"{self.value:.3g}{self.spread()}"
+        text = f"{rounded(self.value, 3)}{self.spread()}"
         return text if self.unit == "1" else f"{text} {self.unit}"
 
     def entry(self) -> dict[str, Any]:
@@ -143,7 +143,13 @@ class Size:
 
     def spread(self, factor: float = 1.0) -> str:
         """`` ± `` and its standard deviation in another unit; empty where that is not known."""
-        return f" ± {factor * self.std:.2g}" if np.isfinite(self.std) else ""
+        known = np.isfinite(self.std)
+        return f" ± {rounded(factor * self.std, 2)}" if known else ""
+
+
+def rounded(x: float, digits: int) -> str:
+    """A number of so many digits, without an exponent from 1e-4 up to a million."""
+    return f"{float(f'{x:.{digits}g}'):g}"
 
 
 def length(x: Array, covariance: Array) -> tuple[float, float]:
@@ -178,7 +184,7 @@ def usual_sentence(
     words = (f"{s.name} " * several + str(s) for s in sizes)
     size = ", ".join(words).replace("_", " ")
     if any(s.given for s in sizes):
-        nominal = ", ".join(f"{s.given:.3g}" for s in sizes)
+        nominal = ", ".join(rounded(s.given, 3) for s in sizes)
         return f"{joints[0]}: {label} is {size}, the model says {nominal}"
     return f"{joints[0]}: {label} of {size} is not in the model"
 
