@@ -222,22 +222,21 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
         columns = list(values.T)
         codes = [_turns(x) if name == "q" else _unsigned(x) for x in columns]
         most = np.broadcast_to(log.most if name == "tau" else np.inf, log.nv)
-        sure = [
-            code is not None and (code.smooth or code.allows(x, limit))
-            for code, x, limit in zip(codes, columns, most, strict=True)
-        ]
-        if not any(sure):
-            continue
-        known = [
+        clear = (
             (code, step)
-            for code, step, clear in zip(codes, steps, sure, strict=True)
-            if code and clear and name != "q"
-        ]
+            for code, x, step, limit in zip(
+                codes, columns, steps, most, strict=True
+            )
+            if code and (code.smooth or code.allows(x, limit))
+        )
+        shown, shown_step = next(clear, (None, 1.0))
+        if shown is None:
+            continue
         for j, (x, code) in enumerate(zip(columns, codes, strict=True)):
-            if code is None and known:
-                shown, step = known[0]
-                alike = _Code(shown.action, shown.size * steps[j] / step, _NONE)
-                way = np.sign(alike.size)
+            if code is None and name != "q":
+                size = shown.size * steps[j] / shown_step
+                alike = _Code(shown.action, size, _NONE)
+                way = np.sign(size)
                 coded = (way * x).min() >= 0 and (way * alike.decode(x)).min() < 0
                 code = alike if coded else None
             if code is not None:

@@ -262,6 +262,16 @@ def test_the_default_identifies_as_by_hand(planar: Robot) -> None:
     assert (found.least_squares.std >= fit.std * (1 - 1e-12)).all()
 
 
+def test_weak_instruments_leave_their_difference_in_the_standard_deviation(planar, monkeypatch):
+    coarse = replace(NOISY, q=8e-3 * np.round(NOISY.q / 8e-3))
+    plain = identify_robot(planar, [coarse], estimator="wls").least_squares
+    weak = replace(plain, beta=plain.beta + 5 * plain.std, covariance=1e6 * plain.covariance)
+    monkeypatch.setattr("excitant.identify.estimators.iv", Mock(return_value=weak))
+    found = identify_robot(planar, [coarse])
+    assert found.estimator == ESTIMATORS["wls"]
+    np.testing.assert_array_less(5 * plain.std, found.base_std)
+
+
 def test_instruments_need_no_noise_but_a_rate_for_every_second_sample(planar: Robot, exact: Call):
     """At a rate at which interpolation between every second sample leaves no error."""
     recording = exact(planar, np.arange(0, 10, 1 / 512))

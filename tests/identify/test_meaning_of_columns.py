@@ -15,6 +15,7 @@ from excitant.identify import Recording, faults, load_dataset
 from excitant.identify.faults import Fault, channels, find_faults, installation, proven, repair
 from excitant.identify.faults.fault import OF_THE_ARM, Log, is_modelled
 from excitant.identify.faults.torque_fit import TorqueFit, smooth, torque_fit
+from excitant.identify.reading.names import meaning
 from excitant.options import Data
 from excitant.robots import Robot, load_robot
 from excitant.robots.virtual_arm import industrial_sensors
@@ -82,6 +83,11 @@ def test_torque_logged_unsigned_is_decoded_and_no_friction_that_jumps(logged, co
     np.testing.assert_allclose([f.evidence["range"] for f in faults], size * step[negative])
     jumping = 14 + np.add.outer(10 * np.sign(np.sin(run.t)), np.zeros(robot.nv)) + 0.01 * run.tau
     assert not [*channels.wrapped_counters(replace(log, tau=jumping))]
+    # but where only so read the drive can give it
+    dry = np.round(60 * np.sign(np.sin(run.t))[:, None] + 0.01 * count)
+    for most, found in ((np.inf, 0), (100 * step, robot.nv)):
+        register = replace(log, tau=step * code(dry), most=most)
+        assert len([*channels.wrapped_counters(register)]) == found
     for repaired in (True, False):
         entries = [f.entry() | {"recording": "log", "repaired": repaired} for f in faults]
         assert len(proven(entries)) == (0 if repaired else len(faults))
@@ -256,3 +262,9 @@ def test_the_hold_out_is_repaired_like_the_fit(runs: Call, save: Call) -> None:
     for repaired, recording in ((read.fit[0], run), (read.holdout[0], held)):
         np.testing.assert_array_equal(repaired.tau, recording.tau)
     assert [entry["repaired"] for entry in read.entries["faults"]] == [True, True]
+
+
+def test_force_is_the_torque_of_a_joint_that_is_named_and_no_tool_sensor() -> None:
+    slide = meaning("lift_force_N", ("lift", "elbow"))
+    assert (slide.role, slide.joint, slide.unit) == ("tau", "lift", "N")
+    assert meaning("actual_TCP_force_0", ("lift", "elbow")).role is None

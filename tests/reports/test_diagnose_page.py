@@ -1,11 +1,14 @@
 """The page of a diagnosis: what is wrong with the given model, and findings large and small."""
 
+from types import SimpleNamespace
+
 import pytest
 from records import full
 
 from excitant.reports.figure import Figure
 from excitant.reports.page import Notes
 from excitant.reports.sections.diagnose import diagnose_section
+from excitant.reports.sections.examination import _cause_at
 from excitant.results import record_of
 
 
@@ -77,3 +80,13 @@ def test_an_unknown_cause_claims_no_share(run):
     assert [row[k].text for k in (1, 3, 5)] == ["unknown cause", "–", "–"]
     (blocks,) = (blocks for title, blocks in parts.items() if title.startswith("Finding 1"))
     assert blocks[0].sentences[0] == "joint1: 2.0 N·m remain unexplained"
+
+
+def test_the_cause_at_a_joint_is_doubted_by_its_kinds() -> None:
+    plain = SimpleNamespace(effect="coulomb_friction", joints="ab", verdict="named")
+    finer = SimpleNamespace(effect="asymmetric_friction", joints="bc", verdict="undecided")
+    parts = [plain, finer]
+    whole = SimpleNamespace(effect="friction", joints="abc", verdict="named", parts=parts)
+    causes = [_cause_at(joint, [whole]) for joint in "abc"]
+    doubted = "asymmetric friction (undecided)"
+    assert causes == ["Coulomb friction", "Coulomb friction", doubted]
