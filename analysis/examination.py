@@ -206,7 +206,7 @@ class Examination(Shown):
         """What to do where something is open; else empty."""
         findings = self.results["diagnose"]["findings"]
         if self.use and findings and findings[0]["verdict"] == "undecided":
-            return "excitant diagnose, with the same words, looks for the motion that decides"
+            return "excitant diagnose, with the same arguments, looks for the motion that decides"
         faults = [f for f in self.faults if f["repair"] and not f["repaired"]]
         maps = dict.fromkeys(f["map"] for f in faults if f["map"])
         stated = (
