@@ -233,8 +233,9 @@ def sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     lead = group[0].effect
     joints = list(dict.fromkeys(joint for f in group for joint in f.effect.joints))
     if len({f.effect.name for f in group}) > 1:
-        named = _kinds([f for f in group if f.verdict == "named"], diagnosis)
-        others = _kinds([f for f in group if f.verdict != "named"], diagnosis)
+        sure = {f.effect.name for f in group if f.verdict == "named"}
+        named = _kinds([f for f in group if f.effect.name in sure], diagnosis)
+        others = _kinds([f for f in group if f.effect.name not in sure], diagnosis)
         beside = f"; undecided: {others}" if named and others else ""
         kinds = f"{named or others}{beside}"
         return f"Friction of {len(joints)} joints is not in the model: {kinds}"
