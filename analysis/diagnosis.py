@@ -645,7 +645,7 @@ def _iterated(first: Extender, excluded: frozenset[Key]) -> Extension:
                 return fit
         best = fit
         if not any(
-            c.effect.physics.on_model or c.effect.search.shapes for c in fit.chosen
+            c.effect.physics.on_model or c.effect.search.shapes for c in chosen
         ):
             break
     assert best is not None
