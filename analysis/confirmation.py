@@ -386,12 +386,35 @@ class Extender:
         )
         return replace(extension, findings=_findings(extension, self.holdout))
 
-    def predicted(self, chosen: Sequence[Candidate]) -> Array:
-        """Torque of that model at the rows of the hold-out, shape (n, nv) [torque unit]."""
+    def model(self, chosen: Sequence[Candidate]) -> Robot:
+        """That model alone."""
         rows = self._rows(chosen)
         x = self._fit(chosen, rows).x
-        model = identified_robot(self.holdout.robot, rows.effects, x)
+        return identified_robot(self.holdout.robot, rows.effects, x)
+
+    def predicted(self, model: Robot) -> Array:
+        """Torque of a model at the rows of the hold-out, shape (n, nv) [torque unit]."""
         return self.holdout.observed.by(model).torque() / self.holdout.gains
+
+    def as_given(self, effect: Effect) -> Extender:
+        """The same with a link of which an effect tells as uncertain as the others."""
+        if effect.role != "link" or self.link_std is None:
+            return self
+        std = np.array(self.link_std)
+        std[effect.rows(self.holdout.robot)] = std.min()
+        return replace(self, link_std=std)
+
+    def is_off(self, effect: Effect, model: Robot) -> bool:
+        """Whether a model has a link, of which an effect tells, off the given one beyond chance."""
+        if effect.role != "link":
+            return False
+        rows = effect.rows(self.holdout.robot)
+        given = self._body_prior(())
+        sigma = np.broadcast_to(given.sigma, len(given.bodies))
+        link = BodyPrior(given.bodies[rows], sigma[rows])
+        phi = model.phi.reshape(-1, 10)[rows].ravel()
+        chance = float(scipy.special.chdtri(len(phi), VERDICT.chance))
+        return link.surprise(phi) > chance
 
     def again(self, chosen: Sequence[Candidate]) -> Extension:
         """The extended model with other causes, beside which links are as uncertain anew."""

@@ -19,6 +19,7 @@ from excitant.analysis.confirmation import (
     errors_by_gains,
     finding_of,
     holdout_of,
+    holdout_scale,
     kept_effects,
     off_bodies,
     unextended,
@@ -45,7 +46,6 @@ from excitant.analysis.selection import (
     completed,
     frictionless,
     idle,
-    in_deviations,
     rivals,
     select,
 )
@@ -516,26 +516,27 @@ def _causes(
 def _refuted(
     rival: Rival, finding: Finding, fit: Extension, holdout: Holdout
 ) -> bool:
-    """Whether a rival, all else fitted again, predicts the hold-out worse (Vuong 1989).
+    """Whether a rival, all else fitted again, predicts the hold-out worse.
 
-    That is beyond chance, and by a noticeable part of what the cause explains there: causes of the
-    same torque differ by their priors alone, however surely.
+    That is beyond chance, on this motion, and by a noticeable part of what the cause explains
+    there: causes of the same torque differ by their priors alone, however surely. Nor is it one if
+    the cause is there beside it: if a link that is one, as uncertain as the others, is off as well.
     """
     if fit.extender is None:
         return False
-    measured = holdout.series.measured
+    extender = fit.extender.as_given(finding.effect)
+    model = extender.model(rival.instead)
+    if extender.is_off(finding.effect, model):
+        return True
     weight = holdout.series.moves * holdout.gains / fit.evidence.sigma
-
-    def squares(predicted: Array) -> Array:
-        return np.asarray((((measured - predicted) * weight) ** 2).sum(axis=1))
-
-    least = squares(fit.predicted)
-    explained = (squares(fit.predicted - finding.torque) - least).sum()
-    more = squares(fit.extender.predicted(rival.instead)) - least
-    if more.sum() <= CONFIRMATION.floor * explained:
+    error = (holdout.series.measured - fit.predicted) * weight
+    left = (error**2).sum()
+    explained = ((error + finding.torque * weight) ** 2).sum() - left
+    change = (extender.predicted(model) - fit.predicted) * weight
+    scale = holdout_scale(error, change)
+    if -scale.gain * left <= CONFIRMATION.floor * explained:
         return False
-    blocks = [part.sum() for part in np.array_split(more, CONFIRMATION.blocks)]
-    return bool(in_deviations(np.array(blocks)) >= rival.tie)
+    return scale.gain + rival.tie * scale.gain_std < 0
 
 
 def _as_identified(robot: Robot, data: Data) -> tuple[FitRows, tuple[Turning, ...]]:
