@@ -31,7 +31,7 @@ from excitant.analysis.diagnosis_result import (
     result_of,
 )
 from excitant.analysis.downgrade import reason_to_downgrade
-from excitant.analysis.evidence import Key
+from excitant.analysis.evidence import Candidate, Evidence, Key
 from excitant.analysis.explanation import (
     Item,
     grouped,
@@ -466,11 +466,21 @@ def _extended(
     evidence = gather(mounted.robot, train, tau, prior, gains=gains)
     first = Extender(prior, train, tau, holdout, evidence, gains, halves)
     changes = frozenset((effect.name, effect.joints) for effect in mounted.effects)
-    fit = _iterated(first, changes)
+    fit, doubted = _iterated(first, changes)
     refuted = changes | fit.refuted
-    if fit.refuted:
-        again = _iterated(first, refuted)
+    for excluded in filter(None, (fit.refuted, doubted)):
+        again, _ = _iterated(first, changes | excluded)
         if holdout.worse(fit.predicted, again.predicted, CONFIRMATION.floor):
+            fit = again
+    # all that is missing in the model looks a little like a gain common to all joints
+    gains_of_all = frozenset(
+        c.key
+        for c in fit.chosen
+        if c.effect.physics.on_given_torque and c.effect.is_common(mounted.robot)
+    )
+    if gains_of_all:
+        again, _ = _iterated(first, changes | gains_of_all)
+        if not holdout.worse(again.predicted, fit.predicted, CONFIRMATION.floor):
             fit = again
     assert fit.extender is not None
     more = completed(fit.evidence, mounted.robot, fit.chosen, refuted)
@@ -618,11 +628,18 @@ def _judged_set_up(mounted: SetUp, finding: Finding) -> Finding:
     return replace(finding, rivals=mounted.rivals, downgrade=reason)
 
 
-def _iterated(first: Extender, excluded: frozenset[Key]) -> Extension:
-    """The model with the causes that the hold-out confirms, searched for again with that model."""
+def _iterated(
+    first: Extender, excluded: frozenset[Key]
+) -> tuple[Extension, frozenset[Key]]:
+    """The model with the causes that the hold-out confirms, searched for again with that model.
+
+    And the causes of the first search that another would replace which is read from the torque of
+    the model: that torque has them from then on, so that their order would decide.
+    """
     holdout = first.holdout
     robot = first.train.robot
     best: Extension | None = None
+    doubted = frozenset[Key]()
     extender = first
     for _ in range(SEARCH.rounds):
         if best is not None:
@@ -639,15 +656,31 @@ def _iterated(first: Extender, excluded: frozenset[Key]) -> Extension:
             extender = replace(extender, evidence=evidence)
         evidence, chosen = select(extender.evidence, robot, excluded)
         fit = confirmed(replace(extender, evidence=evidence), chosen)
-        if best is not None:
-            if holdout.worse(fit.predicted, best.predicted, SEARCH.gain):
-                break
-            if not holdout.worse(best.predicted, fit.predicted, SEARCH.gain):
-                return fit
+        if best is None:
+            doubted = _replaceable(evidence, robot, chosen)
+        elif holdout.worse(fit.predicted, best.predicted, SEARCH.gain):
+            break
+        elif not holdout.worse(best.predicted, fit.predicted, SEARCH.gain):
+            return fit, doubted
         best = fit
         if not any(
             c.effect.physics.on_model or c.effect.search.shapes for c in chosen
         ):
             break
     assert best is not None
-    return best
+    return best, doubted
+
+
+def _replaceable(
+    evidence: Evidence, robot: Robot, chosen: Sequence[Candidate]
+) -> frozenset[Key]:
+    """Causes with a rival that is read from the torque of the model."""
+    return frozenset(
+        cause.key
+        for cause in chosen
+        if not cause.effect.physics.on_model
+        and any(
+            rival.candidate.effect.physics.depends_on == "torque"
+            for rival in rivals(evidence, robot, chosen, cause)
+        )
+    )

@@ -26,8 +26,7 @@ def select(
     """Causes by forward selection, each step pruned backwards, and the evidence at the end.
 
     Joints that the model gives no friction get that of the standard model first, so that finer
-    kinds must explain more than it. A gain common to all joints must explain more than what takes
-    its place: all that is missing in the model looks a little like it.
+    kinds must explain more than it.
     """
     bare = frictionless(robot)
     allowed = [c for c in evidence.candidates if c.key not in refuted]
@@ -37,19 +36,7 @@ def select(
         if c.effect.search.standard and {*c.effect.joints} <= bare
     ]
     evidence, chosen = _grown(evidence, robot, [], standard)
-    evidence, chosen = _grown(evidence, robot, chosen, allowed)
-    for common in [
-        c
-        for c in chosen
-        if c.effect.physics.on_given_torque and c.effect.is_common(robot)
-    ]:
-        others = [c for c in allowed if c.key != common.key]
-        rest = [c for c in chosen if c is not common]
-        weighed, instead = _grown(evidence, robot, rest, others)
-        if _beyond_chance(evidence, instead) < _beyond_chance(evidence, chosen):
-            evidence = weighed
-            chosen = instead
-    return evidence, chosen
+    return _grown(evidence, robot, chosen, allowed)
 
 
 def completed(
@@ -169,11 +156,6 @@ def idle(evidence: Evidence, chosen: Sequence[Candidate]) -> set[Effect]:
         if by_chance and c not in chosen
         for single in c.effect.singles()
     }
-
-
-def _beyond_chance(evidence: Evidence, chosen: Sequence[Candidate]) -> float:
-    """J of a set, and what each of its causes would explain by chance."""
-    return evidence.cost(chosen) + float(_chances(chosen).sum())
 
 
 def _chances(candidates: Sequence[Candidate]) -> Array:
