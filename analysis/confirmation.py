@@ -87,6 +87,7 @@ class Finding:
         by_gains: Their errors by one standard deviation of the drive gains, shape (k,).
         explained: Share of the nominal model's squared error on the hold-out that it removes;
             beyond one where other causes depend on it.
+        part: The same of the error at the joints that it acts on.
         joint: Index of the joint where it is largest relative to what remains.
         rms_before: Error on the hold-out without it, all others kept, of its joints that turn or
             slide as that one does [torque unit].
@@ -104,6 +105,7 @@ class Finding:
     covariance: Array
     by_gains: Array
     explained: float
+    part: float
     joint: int
     rms_before: float
     rms_after: float
@@ -133,11 +135,28 @@ class Finding:
     @property
     def is_open(self) -> bool:
         """Whether it may as well be smaller as larger than given, to two standard deviations."""
+        first = self._deviations(self.total)[:1]
+        return any(off < CONFIRMATION.deviations for off in first)
+
+    @property
+    def is_vague(self) -> bool:
+        """Whether no size that is told of it is as large as its standard deviation.
+
+        Of links together none is told; of a body, its mass is. Gains of drives do not count.
+        """
+        effect = self.effect
+        if effect.role == "link" and len(effect.joints) > 1:
+            return False
+        deviations = self._deviations(self.covariance)
+        told = deviations if effect.role == "torque" else deviations[:1]
+        return bool(told) and max(told) < 1.0
+
+    def _deviations(self, covariance: Array) -> list[float]:
+        """How far each of its sizes is off the nominal one, in standard deviations."""
         values = np.array(self.effect.values or ())
         units = [""] * len(values)
-        sizes = self.effect.sizes(values, np.array(self.nominal), self.total, units)
-        threshold = CONFIRMATION.deviations
-        return any(abs(s.value - s.given) < threshold * s.std for s in sizes[:1])
+        sizes = self.effect.sizes(values, np.array(self.nominal), covariance, units)
+        return [abs(s.value - s.given) / max(s.std, 1e-300) for s in sizes]
 
     @property
     def is_nominal(self) -> bool:
@@ -677,7 +696,7 @@ def finding_of(
     error = rows.measured - fit.predicted
     without = error + torque
     weight = rows.moves * holdout.gains / fit.evidence.sigma
-    power = float(((holdout.error * weight) ** 2).sum())
+    power = ((holdout.error * weight) ** 2).sum(axis=0)
     joints = effect.affected(robot)
     fall = ((without**2 - error**2) * weight**2)[:, joints]
     scale = holdout_scale(
@@ -701,7 +720,8 @@ def finding_of(
         tuple(nominal),
         covariance,
         np.zeros(len(nominal)),
-        explained=float(fall.sum()) / power,
+        explained=float(fall.sum() / power.sum()),
+        part=float(fall.sum() / power[joints].sum()),
         joint=lead,
         rms_before=holdout.rms_like(without, joints, lead),
         rms_after=holdout.rms_like(error, joints, lead),

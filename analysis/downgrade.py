@@ -28,9 +28,11 @@ def reason_to_downgrade(
     effect = finding.effect
     if finding.by_chance(VERDICT.chance):
         return "its values are the given ones within their uncertainty"
-    body = effect.role != "torque" and len(effect.joints) == 1
-    if body and finding.is_open:
+    # a payload has mass
+    if effect.role == "link" and len(effect.joints) == 1 and finding.is_open:
         return "the sign of its mass is not known to two standard deviations"
+    if finding.is_vague:
+        return "its size is less than its standard deviation"
     if _like_wrong_masses(robot, finding, findings, body_std):
         return "given masses that are all off by one factor would look the same"
     if finding.share < CONFIRMATION.ideal:
@@ -46,7 +48,7 @@ def reason_to_downgrade(
         return f"on the hold-out its size is {ratio} of the fitted one"
     if reason := _below_residual(finding, residuals):
         return reason
-    if finding.explained < EVIDENCE.tolerance**2 and not is_plain_friction(effect):
+    if finding.part < EVIDENCE.tolerance**2 and not is_plain_friction(effect):
         uncertainty = f"{100 * EVIDENCE.tolerance:.0f} % uncertainty"
         return f"it is smaller than the {uncertainty} of the larger causes"
     others = [other for other in findings if other is not finding]
@@ -104,9 +106,8 @@ def _confused(finding: Finding, other: Finding) -> str:
         return (
             f"it is small compared with {name}, whose shape is only roughly known"
         )
-    if minor * finding.explained < other.explained:
-        if effect.curve == other.effect.curve == "velocity":
-            return f"it shares the friction curve of the joint with {name}"
-        if effect.curve == other.effect.curve == "position":
-            return f"it shares the position curve of the joint with {name}"
+    curve = effect.curve
+    shared = curve and curve == other.effect.curve
+    if shared and minor * finding.explained < other.explained:
+        return f"it shares the {curve} curve of the joint with {name}"
     return ""

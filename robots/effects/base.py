@@ -341,12 +341,12 @@ class Effect(ABC):
 
     @property
     def curve(self) -> str:
-        """Quantity of the joint that its torque is a curve over: velocity, position or none.
+        """The curve of a joint that it is part of: friction, position, encoder or none.
 
-        Beside the standard effects, one curve over each has a meaning at a joint.
+        Beside the standard effects, one part of each has a meaning at a joint.
         """
         friction = self.family == "friction" and self.law is not None
-        return "velocity" if friction and not self.search.standard else ""
+        return "friction" if friction and not self.search.standard else ""
 
     def with_values(self, values: npt.ArrayLike) -> Self:
         """The same effect with these coefficients."""

@@ -189,6 +189,7 @@ class _EncoderError(Effect):
     acts_on = Acts.ONE
     physics = Physics(smooth=True)
     search = Search("diagnosis")
+    curve = "encoder"
 
 
 @registered

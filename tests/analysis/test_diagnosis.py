@@ -228,7 +228,8 @@ def cause(
 ) -> Finding:  # fmt: skip
     """Its effect, and its torque at each of two joints."""
     shown = {"effect": EFFECTS[kind]((joint,), **shape), "explained": explained, "scale": scale}
-    shown |= {"by_chance": lambda level: False, "is_open": False}
+    shown["part"] = explained
+    shown |= {"by_chance": lambda level: False, "is_open": False, "is_vague": False}
     return SimpleNamespace(**shown, torque=np.ones((100, 1)) * torque, share=1.0)
 
 
@@ -290,6 +291,9 @@ def reason_among(*causes: Finding) -> str:
         (cause(CURVE, 0.1), cause(STRIBECK, 0.6), "friction curve"),
         (cause(CURVE, 0.6), cause(STRIBECK, 0.05), ""),
         (cause(CURVE, 0.6), cause(STRIBECK, 0.1, "joint2"), ""),
+        # parts of what one encoder reads wrongly over a turn
+        (cause("encoder_eccentricity", 0.05), cause("encoder_scale", 0.6), "encoder curve"),
+        (cause("encoder_scale", 0.6), cause("encoder_eccentricity", 0.05), ""),
         # the misfit of larger causes
         (cause(CURVE, 0.0024), cause(STRIBECK, 0.0, "joint2"), f"{FAINT} uncertainty"),
         (cause(CURVE, 0.0026), cause(STRIBECK, 0.0, "joint2"), ""),
@@ -317,6 +321,27 @@ def test_causes_that_another_may_be_or_that_are_faint_are_not_decided(found, oth
     reason = reason_among(found, other)
     assert said in reason
     assert bool(said) == bool(reason)
+
+
+@pytest.mark.parametrize(("kind", "said"), [("payload", ""), ("inertial_parameters", "sign")])
+def test_a_link_may_be_lighter_than_given_a_payload_not_than_nothing(kind: str, said: str) -> None:
+    body = cause(kind)
+    vars(body)["is_open"] = True
+    assert said in reason_among(body)
+    assert bool(said) == bool(reason_among(body))
+
+
+def test_a_rival_that_needs_the_link_too_is_none(coulomb: Diagnosis) -> None:
+    robot, extender = coulomb.robot, coulomb.extension.extender
+    link = EFFECTS["inertial_parameters"](robot.joints[:1])
+    own = replace(extender, link_std=np.array([0.5, 0.05]))
+    anew = own.as_given(link)
+    assert anew.link_std.tolist() == [0.05, 0.05]
+    for heavier, off in ((1.05, False), (1.3, True)):
+        model = robot.with_parameters(robot.phi.reshape(-1, 10) * [[heavier], [1.0]])
+        assert anew.is_off(link, model) == off
+        assert not own.is_off(link, model)
+    assert not anew.is_off(coulomb.findings[0].effect, model)
 
 
 @pytest.mark.parametrize(("size", "open_"), [(0.12, True), (0.25, False)])
@@ -395,8 +420,9 @@ def test_an_undecided_size_has_no_deviation(coulomb: Diagnosis) -> None:
         assert [value["std"] is not None for value in values] == [known, known]
         assert ("±" in entry["sentence"]) == known
     change = np.array(lead.effect.values) - lead.nominal
-    near, far = (replace(lead, covariance=(change / k)[:, None] ** 2) for k in (1.9, 2.1))
-    assert [near.is_open, far.is_open] == [True, False]
+    off = [replace(lead, covariance=(change / k)[:, None] ** 2) for k in (0.9, 1.1, 1.9, 2.1)]
+    assert [each.is_vague for each in off] == [True, False, False, False]
+    assert [each.is_open for each in off] == [True, True, True, False]
     # what it adds is an error of the others
     fit, effect = coulomb.extension, EFFECTS["viscous_friction"](lead.effect.joints)
     undecided = replace(lead, effect=effect.with_values((1.0,)))
