@@ -712,7 +712,8 @@ def finding_of(
     # what depends on the model looks like noise of positions
     plain = scale.gain > CONFIRMATION.plain and not effect.physics.on_model
     rms = np.sqrt(((torque * rows.moves) ** 2).mean(axis=0))
-    visible = plain or (rms > holdout.floor).any()
+    # noise is no larger than what is left
+    visible = plain or (rms > np.minimum(holdout.floor, rows.rms(error))).any()
     if not visible or share < CONFIRMATION.faint:
         margin = min(margin, -CONFIRMATION.floor)
     return Finding(

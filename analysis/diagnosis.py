@@ -501,7 +501,11 @@ def _causes(
     robot = holdout.robot
     causes = []
     for finding, candidate in zip(fit.findings, fit.chosen, strict=True):
-        if finding.significant:
+        changed = finding.effect.values != finding.nominal
+        if changed and not finding.torque.any():
+            unseen = "nothing of it shows on the hold-out"
+            causes.append(replace(finding, downgrade=unseen))
+        elif finding.significant:
             alike = rivals(fit.evidence, robot, fit.chosen, candidate)
             # one that is left is enough: the cause is undecided
             while alike and _refuted(alike[0], finding, fit, holdout):
