@@ -47,6 +47,7 @@ _WITHOUT_STD = (
     "or of a cause that is not decided)"
 )
 _FIRST = 7  # findings in the first table
+_USUAL = ("viscous_friction", "coulomb_friction")  # of every joint
 _NAMED = 3  # joints in a title
 _LEADING = 3  # findings that are shown without opening a fold
 _CURVES = Curves(
@@ -114,15 +115,20 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
 
 
 def _first_lines(findings: list[Finding]) -> list[tuple[str, str]]:
-    """The first findings, a line each, where there is more than the headline."""
-    lines = [
-        (
-            f"{k}{' (undecided)' * (finding.verdict == 'undecided')}",
-            finding.sentence,
-        )
-        for k, finding in enumerate(findings[:_FIRST], start=1)
-    ]
+    """The first findings and their finer parts, a line each, where there is more than one."""
+    lines = []
+    for k, finding in enumerate(findings[:_FIRST], start=1):
+        lines.append(_line(str(k), finding, finding.sentence))
+        lines += [
+            _line(f"{k}, of this", part, f"{part.sentence}{_why(part, '; ')}")
+            for part in finding.parts
+            if part.effect not in _USUAL
+        ]
     return lines if len(lines) > 1 else []
+
+
+def _line(number: str, part: Part, words: str) -> tuple[str, str]:
+    return f"{number}{' (undecided)' * (part.verdict == 'undecided')}", words
 
 
 def _pairs(result: Diagnose) -> list[tuple[JointAccuracy, JointAccuracy]]:
@@ -281,15 +287,19 @@ def _kinds(finding: Finding, unit: str) -> p.Table | None:
             (f"number:rms without it [{unit}]", "holdout.rms_before"),
             (f"number:rms with it [{unit}]", "holdout.rms_after"),
             ("text:Verdict", _verdict),
-            ("text:Looks the same", _lookalikes),
+            ("text:Why undecided", _why),
         ],
         "Its kinds; which of them it is, is less certain than that there is friction.",
     )
 
 
-def _lookalikes(part: Part) -> str:
+def _why(part: Part, before: str = "") -> str:
+    """Why a part is undecided, after some words; empty where it is named."""
+    if part.doubt:
+        return f"{before}{part.doubt}"
     names = [v.plain(rival.effect) for rival in part.rivals]
-    return v.listing(list(dict.fromkeys(names)))
+    alike = v.listing(list(dict.fromkeys(names)), "")
+    return alike and f"{before}{alike} would look the same"
 
 
 def _sentence(finding: Finding, unit: str) -> str:

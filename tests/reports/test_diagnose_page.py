@@ -47,6 +47,18 @@ def test_small_findings_share_a_part(run):
     assert any(isinstance(block, Figure | Notes) for block in further[1].blocks)
 
 
+def test_finer_friction_of_a_group_has_a_line_of_its_own_with_the_reason(run):
+    lead = run[0]["findings"][0]
+    kinds = ["coulomb_friction", "stribeck_friction", "friction_coupling"]
+    parts = [{**lead, "effect": kind, "sentence": kind, "rivals": []} for kind in kinds]
+    parts[1] |= {"verdict": "undecided", "doubt": "it is small"}
+    run[0]["findings"] = [{**lead, "effect": "friction", "verdict": "named", "parts": parts}]
+    assert diagnose_section(record_of(full(**run[0])), {}).brief[2:4] == (
+        ("1, of this (undecided)", "stribeck_friction; it is small"),
+        ("1, of this", "friction_coupling"),
+    )
+
+
 def test_nothing_found_shows_one_model(run, show):
     result, series = run
     result["findings"] = []
