@@ -99,7 +99,10 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     )
 
 
-def _faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
+def _faults(
+    robot: Robot, recording: Recording, late: Sequence[Fault] = ()
+) -> tuple[Fault, ...]:
+    """Faults by their tests in order; late torque, once it is known, comes before its outliers."""
     log = Log.of(robot, recording)
     faults: list[Fault] = []
     # of the log as it came, by row of the log as repaired
@@ -120,14 +123,12 @@ def _faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     if len(log) >= _ROWS:
         note(*gap_faults(log, parts))
     note(*missing_values(log))
-    for test in (
-        repeated_rows,
-        wrapped_counters,
-        held_channels,
-        jumps_and_outliers,
-    ):
+    for test in (repeated_rows, wrapped_counters, held_channels):
         if len(log) >= _ROWS:
             note(*test(log))
+    note(*late)
+    outliers = [*jumps_and_outliers(log)] if len(log) >= _ROWS else []
+    note(*outliers)
     if len(log) < _ROWS:
         return tuple(faults)
     channels = [*dead_channels(log), *saturation(log, robot)]
@@ -138,7 +139,10 @@ def _faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
         # positions of another unit say nothing of the clock
         speeds = [f for f in speeds if f.fault != "wrong_sample_rate"]
     longest, _ = after_repair(longest, speeds)
-    return (*faults, *channels, *speeds, *_by_physics(robot, longest, channels))
+    physics = _by_physics(robot, longest, channels)
+    if outliers and not late and physics and physics[0].fault == "time_delay":
+        return _faults(robot, recording, physics[:1])
+    return (*faults, *channels, *speeds, *physics)
 
 
 def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault]:

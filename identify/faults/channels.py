@@ -31,6 +31,7 @@ from excitant.identify.faults.fault import (
 from excitant.identify.faults.time import hidden_gaps
 from excitant.identify.faults.torque_fit import Smooth, TorqueFit
 from excitant.identify.signals import noise, quantum
+from excitant.robots.effects.sensing import LONGEST_DELAY
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -420,6 +421,7 @@ def _outlying(log: Log, jumps: Rows | None) -> dict[str, Mask]:
             far[name] &= _impossible(log, r[name]) & log.moving.any(axis=0)
         else:
             far[name] &= _apart(x, r[name])
+    far["tau"] &= ~_by_friction(log)
     if log.dq is not None:
         jolts = _jolts(log, log.dq, r["dq"], far)
         far["dq"] &= ~jolts
@@ -447,6 +449,19 @@ def _apart(x: Array, r: Array) -> Mask:
     apart[:reach] = False
     apart[len(x) - reach :] = False
     return apart
+
+
+def _by_friction(log: Log) -> Mask:
+    """Torques, (n, nv), where the joint stops or turns, of a size that it has elsewhere as well.
+
+    Dry friction falls for a moment where a joint stops and goes on, and rises where brakes close.
+    """
+    stops = 2 * np.abs(log.travel) <= log.grain
+    stops[1:] |= log.travel[1:] * log.travel[:-1] < 0
+    median = _running_median(log.tau, _MEDIAN_ROWS)
+    usual = (log.tau >= median.min(axis=0)) & (log.tau <= median.max(axis=0))
+    reach = len(_OUTLIER) // 2 + round(LONGEST_DELAY / log.step)
+    return usual & _near(stops, reach)
 
 
 def _jolts(log: Log, dq: Array, r: Array, far: dict[str, Mask]) -> Mask:

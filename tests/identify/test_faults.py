@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import refusal, refused, slow
-from mistakes import PLANTS, Mistake, edited, recorded, scaled, with_rows
+from mistakes import PLANTS, Mistake, edited, recorded, run_of, scaled, with_rows
 
 import excitant as ex
 from excitant.exceptions import BadRecording, FaultWarning
@@ -220,6 +220,17 @@ def test_friction_at_a_reversal_is_no_outlier(clean: Log, at: int, later: int, o
     faults = find_faults(PLANAR, replace(clean, tau=np.column_stack([tau, clean.tau[:, 1]])))
     found = [f.evidence["rows"].tolist() for f in faults if f.fault == "corrupt_rows"]
     assert found == outliers
+
+
+@pytest.mark.parametrize(("delay", "faults"), [(0.0, set()), (0.2, {"time_delay"})])
+def test_friction_at_a_momentary_stop_is_no_outlier(delay: float, faults: set[str]) -> None:
+    """Where a period ends a joint stops for a moment and goes on; torque may be late for it."""
+    scara = load_robot("scara")
+    one = run_of(scara, (3, 42, 0))
+    twice = replace(one, t=np.arange(2 * N) / 125, plant=replace(one.plant, delay=delay))
+    assert found(twice.log, scara) == faults
+    struck = edited(twice.log, "tau", (1001, 3), lambda x: 3.0)
+    assert found(struck, scara) == faults | {"corrupt_rows"}
 
 
 def test_nothing_at_all_is_no_traceback(clean: Log) -> None:
