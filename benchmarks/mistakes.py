@@ -22,6 +22,7 @@ from excitant.design import random_trajectory
 from excitant.exceptions import ExcitantError
 from excitant.identify import Estimate, identify_robot, load_dataset, proven, publication
 from excitant.identify.faults import Log
+from excitant.identify.faults.fault import OF_THE_ARM
 from excitant.options import Data
 from excitant.recordings import Fit
 from excitant.robots import Motion, Robot, load_robot
@@ -412,8 +413,8 @@ def told(arm: str, logs: Sequence[Log]) -> tuple[list[tuple[str, set[str]]], Est
 
 
 def errors(estimate: Estimate, log: Log) -> Array:
-    """Nrmse of each joint."""
-    return np.array([joint["nrmse"] for joint in estimate.score(log)])
+    """Nrmse of each joint, none of rounding."""
+    return np.array([joint["nrmse"] * (joint["rms"] > 1e-12) for joint in estimate.score(log)])
 
 
 @cache
@@ -446,8 +447,9 @@ def verdict(kind: str, where: str, arm: str, seed: int) -> dict[str, Any]:
     elif len(moving) < unseen.robot.nv:  # of a joint that stands in the hold-out as well
         off, least = known, least_errors(arm, seed)[moving]
     else:
-        same = kind in MADE and where == "both"  # the arm is as it is
-        log = MADE[kind][1](unseen) if same else unseen.log
+        # an arm, or a logger, is always as it is
+        same = where == "both" and (kind in MADE or wanted & {*OF_THE_ARM})
+        log = planted(kind, "fit", [unseen])[0] if same else unseen.log
         off, least = errors(estimate, log), least_errors(arm, seed)
     verdicts = {"right": np.maximum(WORSE * least, SMALL), "said": WORSE * np.maximum(least, known)}
     fits = [v for v, most in verdicts.items() if kind not in PAIRED and (off <= most).all()]
