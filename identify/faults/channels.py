@@ -146,6 +146,7 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
         value = sign * top
         many = count >= _AT_EXTREME and band > 0
         chance = float(scipy.special.pdtrc(count - 1, near + 1)) if many else 1.0
+        evidence: dict[str, object] = {"channel": "tau"}
         if chance <= ALARM / (2 * log.nv):
             where = f"at its {'largest' if sign > 0 else 'smallest'} value"
             more = f", while it moves; only {near} lie within {band:.3g} of it"
@@ -161,13 +162,14 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
             more = ""
             value = sign * limit
             count = int(at.sum())
+            evidence["limit"] = limit
         joint = log.joints[j]
         longest = int(run_lengths(at)[1].max())
         detail = (
             f"tau of {joint} is {where} {value:.6g} {log.unit} in {count} of "
             f"{len(log)} rows, up to {longest} in a row{more}"
         )
-        yield Fault("saturation", (joint,), detail, {"channel": "tau"})
+        yield Fault("saturation", (joint,), detail, evidence)
 
 
 def held_channels(log: Log) -> Iterator[Fault]:

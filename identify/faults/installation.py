@@ -364,7 +364,8 @@ def _evidence(
     nv = case.robot.nv
     noise = case.power
     for fit in fits:
-        noise = np.minimum(noise, fit.power[np.argsort(fit.data.recorded)])
+        power = fit.power / fit.data.scale**2
+        noise = np.minimum(noise, power[np.argsort(fit.data.recorded)])
     links = [case.surprise(noise, case.rows, link) for link in range(nv)]
     squares, surprises = zip(*links, strict=True)
     rows = float(case.rows.sum())
@@ -542,6 +543,7 @@ def _moves(fit: TorqueFit) -> Iterator[Installation]:
     if squares > float(rows.sum()):
         yield from _nearest(fit, _two_zeros(fit))
     yield from _frames(fit)
+    yield from _of_limits(fit)
     yield from _scales(fit)
     yield from _mounting(fit)
     turning = [j for j in fit.joints if fit.robot.revolute[j]]
@@ -883,6 +885,29 @@ def _torque_beyond_limits(case: TorqueFit, registers: bool) -> Iterator[Fault]:
             remedies=(Remedy("scale", "tau", every, factor=1 / factor),),
         )
     yield fault
+
+
+def _of_limits(fit: TorqueFit) -> Iterator[Installation]:
+    """Torque in parts of each joint's limit, as drives tell it."""
+    limit = fit.robot.limits.torque
+    if fit.log.unit != "N·m" or fit.unscaled or not np.isfinite(limit).all():
+        return
+    for whole, name in ((100.0, "per cent"), (1000.0, "per mille")):
+        remedies = (
+            Remedy("scale", "tau", (j,), factor=most / whole)
+            for j, most in enumerate(limit.tolist())
+        )
+        yield _one(
+            fit,
+            Fault(
+                "wrong_unit",
+                fit.log.joints,
+                f"tau is in {name} of the torque limits",
+                {"channel": "tau"},
+                f"multiplies tau by the torque limits and divides it by {whole:g}",
+                tuple(remedies),
+            ),
+        )
 
 
 def _scales(fit: TorqueFit) -> Iterator[Installation]:

@@ -47,6 +47,7 @@ class Smooth(NamedTuple):
     cutoff: float  # of the filters [1/time unit of the log]
     rate: float  # rows per time unit of the log
     recorded: Rows  # column of the log that each joint's torque is, shape (nv,)
+    scale: Array  # of each torque per its reading, without sign, shape (nv,)
 
     @property
     def effects(self) -> Array:
@@ -60,12 +61,16 @@ class Smooth(NamedTuple):
         arrays = {name: np.array(getattr(self.motion, name)) for name in _MOTION}
         arrays |= {"dry": np.array(self.dry), "tau": np.array(self.tau)}
         recorded = self.recorded
+        scale = np.array(self.scale)
         for remedy in remedies:
             if remedy.channel == "t":
                 arrays["dq"] /= remedy.factor
                 arrays["ddq"] /= remedy.factor**2
             if (remedy.action, remedy.channel) == ("order", "tau"):
                 recorded = recorded[[*remedy.joints]]
+                scale = scale[[*remedy.joints]]
+            if (remedy.action, remedy.channel) == ("scale", "tau"):
+                scale[[*remedy.joints]] *= abs(remedy.factor)
             for name in _MOVED.get(remedy.channel, ()):
                 x = arrays[name]
                 arrays[name] = (
@@ -75,7 +80,11 @@ class Smooth(NamedTuple):
                 )
         motion = Motion(self.motion.t, *(arrays[name] for name in _MOTION))
         return self._replace(
-            motion=motion, dry=arrays["dry"], tau=arrays["tau"], recorded=recorded
+            motion=motion,
+            dry=arrays["dry"],
+            tau=arrays["tau"],
+            recorded=recorded,
+            scale=scale,
         )
 
     def filtered(self, values: Array) -> Array:
@@ -109,7 +118,8 @@ def smooth(log: Log) -> Smooth | None:
     dry = low_pass(np.sign(motion.dq), cutoff, rate, rows)
     tau = low_pass(even(log.tau), cutoff, rate, rows)
     columns = np.arange(log.nv)
-    return Smooth(motion[rows], dry, tau, cutoff, rate / rows.step, columns)
+    ones = np.ones(log.nv)
+    return Smooth(motion[rows], dry, tau, cutoff, rate / rows.step, columns, ones)
 
 
 def is_described(robot: Robot) -> bool:
@@ -283,11 +293,13 @@ class TorqueFit:
         that friction brakes.
 
         Args:
-            noise: Mean square of each joint's noise, shape (nv,); `MODEL_ERROR` comes to it.
+            noise: Mean square of the noise of each joint's reading, shape (nv,); `MODEL_ERROR`
+                comes to it.
             rows: Independent rows that it has, shape (nv,).
             other: Link that may be another body.
         """
-        weight = self.weight(noise, rows)
+        per_reading = self.data.scale**2
+        weight = self.weight(noise * per_reading, rows)
         L = self._factor(weight, other)
         root = L[:-1, :-1]
         occam = 2 * float(np.log(np.diag(root)).sum())
@@ -303,8 +315,9 @@ class TorqueFit:
         total = float(
             L[-1, -1] ** 2 + (driving / np.maximum(variance, 1e-300)).sum()
         )
-        # sums of readings are not likelier for being larger
-        return total, total + occam - float(rows[self.joints] @ np.log(weight))
+        # sums of readings are not likelier for being larger, nor for another unit
+        density = np.log(weight * per_reading[self.joints])
+        return total, total + occam - float(rows[self.joints] @ density)
 
     def squares(self, weight: Array) -> float:
         """Squares that bodies near the nominal ones leave, friction of any sign."""
