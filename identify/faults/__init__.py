@@ -142,8 +142,9 @@ def _faults(
     physics = _by_physics(robot, longest, channels)
     if outliers and not late and physics and physics[0].fault == "time_delay":
         return _faults(robot, recording, physics[:1])
-    if any((f.fault, f.channel) == ("wrong_unit", "tau") for f in physics):
-        # what is no torque reaches no limit of it
+    meaning = {(f.fault, f.channel) for f in physics}
+    if meaning & {("wrong_unit", "tau"), ("wrong_order", None)}:
+        # what is no torque, or that of another joint, reaches no limit of it
         channels = [f for f in channels if "limit" not in f.evidence]
     return (*faults, *channels, *speeds, *physics)
 
