@@ -20,6 +20,7 @@ import scipy
 from excitant.exceptions import BadInput
 from excitant.identify.information import square_root
 from excitant.identify.prior import (
+    REFERENCE,
     BasePrior,
     base_prior,
     needed_torque,
@@ -150,18 +151,18 @@ def excitation(
         sigma: Noise of an independent row, shape (nv,) [torque unit]; see `persistency`.
     """
     length = float(motion.t[-1] - motion.t[0])
-    rate_hz = ROWS_PER_SECOND if length > 2 else 40 / length
+    rate_hz = np.clip(ROWS_PER_SECOND, 40 / length, REFERENCE.rows / length)
     reference = reference_motion(robot, length, rate_hz)
     if sigma is None:
         sigma = _NOISE_SHARE * needed_torque(robot, reference)
     L = square_root(prior.covariance)
     to_compare = observation_columns(robot, effects, reference)[:, :, base.columns]
-    whole = _information(reference, to_compare / sigma[:, None] @ L)
+    whole = _information(ROWS_PER_SECOND / rate_hz, to_compare / sigma[:, None] @ L)
     levels, V = scipy.linalg.eigh(whole)
     # so that squares are levels; the first directions no motion shows above the noise
     basis = L @ V
     visible = basis[:, levels >= _VISIBLE]
-    J = _information(motion, W / sigma[:, None] @ basis)
+    J = _information(_share(motion), W / sigma[:, None] @ basis)
     hidden = len(base) - visible.shape[1]
     levels, V = np.linalg.eigh(J[hidden:, hidden:])
     window = WindowExcitation(
@@ -211,8 +212,8 @@ def _share(motion: Motion) -> float:
     return float(min(1.0, ROWS_PER_SECOND * step)) if step > 0 else 1.0
 
 
-def _information(motion: Motion, rows: Array) -> Array:
-    return _share(motion) * np.tensordot(rows, rows, ((0, 1), (0, 1)))
+def _information(share: float, rows: Array) -> Array:
+    return share * np.tensordot(rows, rows, ((0, 1), (0, 1)))
 
 
 def persistency(

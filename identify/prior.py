@@ -70,6 +70,7 @@ class ReferenceMotion:
         free_acceleration: Acceleration limit where the model has none [rad/s²].
         idle: Torque of a joint without load, as a share of the largest torque needed and of its
             own limit.
+        rows: Rows at most; of a motion of more, 2000 per harmonic stand for all.
     """
 
     harmonics: int = 5
@@ -78,6 +79,7 @@ class ReferenceMotion:
     free_speed: float = 3.0
     free_acceleration: float = 10.0
     idle: float = 1e-2
+    rows: int = 10_000
 
 
 REFERENCE = ReferenceMotion()
