@@ -134,6 +134,16 @@ def test_ctrl_c_amid_exec_ends_with_the_status_all_the_same(tmp_path: Path) -> N
     assert ran_amid(code, tmp_path).returncode == 130
 
 
+def test_a_command_under_nohup_outlives_its_terminal(tmp_path: Path) -> None:
+    code = (
+        "import os, signal, excitant.cli, excitant.__main__\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        "excitant.cli.main = lambda: os.kill(os.getpid(), signal.SIGHUP)\n"
+        "excitant.__main__.run()\n"
+    )
+    assert ran_amid(code, tmp_path).returncode == 0
+
+
 @pytest.mark.slow
 def test_ctrl_c_amid_a_destructor_ends_the_next_step(tmp_path: Path) -> None:
     """Python drops what a destructor raises, also the interrupt that came while it ran."""
@@ -154,11 +164,12 @@ def test_ctrl_c_amid_a_destructor_ends_the_next_step(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_demo_ends_amid_its_design(name: str, tmp_path: Path) -> None:
     """Its design does not go on with the best motion so far."""
     code = (
         "import os, signal, excitant.__main__, excitant.design.search\n"
+        f"signal.signal(signal.{name}, signal.SIG_DFL)\n"
         "def unordered(*_):\n"
         f"    yield os.kill(os.getpid(), signal.{name})\n"
         "excitant.design.search.unordered = unordered\n"

@@ -14,7 +14,7 @@ COLLECTION_THRESHOLD = 1_000_000
 
 
 def run() -> None:
-    """Run a command and exit with its status; Ctrl-C and SIGTERM end it with 130."""
+    """Run a command and exit with its status; Ctrl-C, SIGTERM and SIGHUP end it with 130."""
     try:
         listen()
         for name in ("stdin", "stdout", "stderr"):

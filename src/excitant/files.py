@@ -158,7 +158,7 @@ def _below(folder: Path, at: str, name: str) -> str:
 def _put_aside(target: Path) -> Iterator[Path]:
     """A folder beside the target, removed in the end, as are those of runs that were killed.
 
-    Ctrl-C and SIGTERM wait until then.
+    Signals that end a command wait until then.
     """
     missing = [folder for folder in target.parents if not exists(folder)]
     prefix = (
@@ -166,7 +166,8 @@ def _put_aside(target: Path) -> Iterator[Path]:
     )
     with deferred(f"{target} was written"):
         try:
-            target.parent.mkdir(parents=True, exist_ok=True)
+            for folder in reversed(missing):
+                folder.mkdir(exist_ok=True)
             for left in target.parent.glob(f"{prefix}*"):
                 with suppress(OSError), _locked(left):
                     shutil.rmtree(left)

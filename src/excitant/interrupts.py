@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: both raise KeyboardInterrupt in the main thread of a command.
+"""Ctrl-C, SIGTERM and SIGHUP raise KeyboardInterrupt in the main thread of a command.
 
 Python drops what a destructor or the callback of a weak reference raises, and import runs many of
 these. So a signal counts until it was `heard`, and long work asks for it (`check`).
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _arrived = threading.Event()
 
 
@@ -25,9 +25,10 @@ class Interrupted(KeyboardInterrupt):
 
 
 def listen() -> None:
-    """Let each of the signals raise `Interrupted`."""
+    """Let each of the signals raise `Interrupted`; under ``nohup``, SIGHUP stays ignored."""
     for number in SIGNALS:
-        signal.signal(number, _interrupt)
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, _interrupt)
 
 
 def _interrupt(number: int, _: object) -> NoReturn:

@@ -227,7 +227,14 @@ def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["other", "run"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_folder_deep_in_missing_ones_is_made(tmp_path):
+    [path] = files.write_folder(tmp_path / ("a/" * 1500), {"x": "1"})
+    assert path.read_text() == "1"
+    path.unlink()
+    os.removedirs(path.parent)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_waits_until_the_run_is_whole(number, tmp_path, monkeypatch):
     before, real = signal.signal(number, signal.default_int_handler), os.fsync
     monkeypatch.setattr(os, "fsync", lambda file: (signal.raise_signal(number), real(file)))
