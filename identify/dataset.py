@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.files import size_of
+from excitant.files import real_path, size_of
 from excitant.identify.faults import Checked, check_recordings
 from excitant.identify.parked import freed_for, parked
 from excitant.identify.reading.bags import described, is_bag
@@ -104,13 +104,13 @@ class Dataset:
         Raises:
             BadInput: Nothing to read, or a recording both named and held out.
         """
-        holdout = {self._path(name).resolve() for name in without}
+        holdout = {real_path(self._path(name)) for name in without}
         for name in names:
-            if self._path(name).resolve() in holdout:
+            if real_path(self._path(name)) in holdout:
                 why = "is to be fitted and held out; leave it out of one of the two"
                 raise BadInput(f"{name} {why}")
         paths = [path for name in names for path in _inside(self._path(name))]
-        paths = [p for p in paths or self._all() if p.resolve() not in holdout]
+        paths = [p for p in paths or self._all() if real_path(p) not in holdout]
         if not paths:
             why = "every recording is held out; none is left to fit"
             raise BadInput(f"{self.folder}: {why}")

@@ -304,6 +304,7 @@ REFUSED = {
     "analyze planar_2r -o taken": "taken",
     "analyze planar_2r -o /": "holds it, and would be replaced",
     "analyze planar_2r -o loop/run": "loop is no folder",
+    "identify planar_2r loop": "symbolic links",
     "simulate planar_2r trajectory.csv": "name a .csv or .parquet file",
 }
 

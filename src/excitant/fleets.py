@@ -22,7 +22,7 @@ from excitant.exceptions import (
     interrupt_in,
     line_of,
 )
-from excitant.files import write_file
+from excitant.files import real_path, write_file
 from excitant.names import in_folder, listed, one_line, printable
 from excitant.options import Run
 from excitant.processes import connect, processors, unordered
@@ -101,7 +101,7 @@ def compare_fleet(
     """
     root = Path(output)
     sets = [
-        _DataSet(name, folder, str(root.resolve() / _ARMS / _safe(name)))
+        _DataSet(name, folder, str(real_path(root) / _ARMS / _safe(name)))
         for name, folder in _data_sets(folders, root).items()
     ]
     with connect(cluster) if cluster else nullcontext() as client:
@@ -140,7 +140,7 @@ def _data_sets(folders: Sequence[str | Path], root: Path) -> dict[str, str]:
             raise BadInput(f"{folder}: no such folder; give folders of data sets")
     shared = os.path.commonpath([os.path.abspath(folder) for folder in folders])
     for folder in map(Path, folders):
-        inside = list(_below(folder, root, folder.resolve().parents))
+        inside = list(_below(folder, root, real_path(folder).parents))
         if not inside:
             raise BadInput(
                 f"{folder}: no data set in it, which is a folder with robot.urdf, robot.yaml or "
@@ -151,14 +151,14 @@ def _data_sets(folders: Sequence[str | Path], root: Path) -> dict[str, str]:
             name = printable(os.path.basename(shared) if below == "." else below)
             if name in sets:
                 raise BadInput(f"{path}: given twice; name each data set once")
-            sets[name] = str(path.resolve())  # workers may be in another folder
+            sets[name] = str(real_path(path))  # workers may be in another folder
     return sets
 
 
 def _below(folder: Path, root: Path, above: Sequence[Path]) -> Iterator[Path]:
     """Data sets in a folder, at any depth, but not among the results; links are followed."""
-    resolved = folder.resolve()
-    if resolved == root.resolve() or resolved in above:
+    resolved = real_path(folder)
+    if resolved == real_path(root) or resolved in above:
         return
     if ex.identify.is_dataset(folder):
         yield folder
