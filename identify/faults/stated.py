@@ -61,8 +61,11 @@ def _channel(
     """Entries by which a channel is read as remedies leave it.
 
     They make M x + c of x = C F (r + o), of readings r. That is G D P (r + o'): columns in the
-    order P, units and signs D, and the coupling G, whose diagonal is 1; None where it cannot be.
+    order P, units and signs D, and the coupling G, whose diagonal is 1; None where it cannot be,
+    and where the columns of joints that stand are left out.
     """
+    if len(channel.columns) != robot.nv:
+        return None
     one = np.eye(robot.nv)
     order = np.arange(robot.nv)
     moved, constant = one, 0 * one

@@ -15,6 +15,7 @@ import excitant as ex
 from excitant.api import as_recorded
 from excitant.exceptions import BadRecording
 from excitant.identify import Recording
+from excitant.identify.faults import find_faults
 from excitant.robots import Motion, load_robot, torque
 from excitant.robots.effects import Payload, ViscousFriction
 
@@ -142,3 +143,11 @@ def test_other_branches_and_changed_arms(save: Save) -> None:
     chosen = load_robot("arm.urdf", joints=["joint2"])
     with pytest.raises(BadRecording, match=r"the model was changed with .*joint3 at 0 rad"):
         as_recorded(chosen.with_parameters(2 * chosen.phi), stands)
+
+
+def test_a_wrong_sign_beside_it_is_told_without_a_map(save: Save) -> None:
+    log = save("run.csv", {2: 0.4}, noise=1e-4)
+    log.assign(dq1=-log.dq1).to_csv("run.csv", index=False)
+    parked, [run], [] = as_recorded("arm.urdf", "run.csv")
+    [fault] = find_faults(parked.robot, run)
+    assert (fault.fault, fault.joints, fault.map) == ("wrong_sign", ("joint1",), None)
