@@ -33,6 +33,8 @@ def listen() -> None:
 
 def _interrupt(number: int, _: object) -> NoReturn:
     _arrived.set()
+    # threads of a pool that is ended amid its work may fail
+    threading.excepthook = lambda _: None
     raise Interrupted
 
 

@@ -16,6 +16,7 @@ from functools import cache, partial
 from typing import Any, ParamSpec, TypeVar
 
 from excitant.exceptions import BadInput, WorkerDied
+from excitant.interrupts import check, deferred
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -104,6 +105,7 @@ def _here(
         parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
         with _interrupts_blocked() if jobs > 1 else nullcontext():
             results = parallel(joblib.delayed(perform)(*task) for task in tasks)
+        check()
         yield from results
 
 
@@ -123,15 +125,20 @@ def _on_cluster(
 
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
-    """Processes that start within the block never hear Ctrl-C; here it waits for its end."""
+    """Processes that start within the block hear neither Ctrl-C nor SIGHUP; here signals wait.
+
+    What libraries do to start processes is not made to be interrupted.
+    """
     from multiprocessing import resource_tracker
 
-    resource_tracker.ensure_running()  # unblocks signals when it starts, in Python 3.11
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    with deferred():
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+        try:
+            resource_tracker.ensure_running()  # unblocks SIGINT, in Python 3.11
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def owned(function: Callable[P, T]) -> Callable[P, T]:
