@@ -32,6 +32,7 @@ from excitant.cli import main as excitant
 from excitant.design import load_trajectory
 from excitant.exceptions import ExcitantError, FaultWarning
 from excitant.identify import load_column_map, load_dataset, load_knowledge, load_recording
+from excitant.interrupts import SIGNALS
 from excitant.reports import load_run, page_of
 from excitant.robots import Motion, load_limits, load_robot, torque
 from excitant.robots.obstacles_file import load_obstacles
@@ -396,7 +397,7 @@ def kills(rng: Rng, folder: Path, corpus: Path, verb: str = "") -> Case:
         return
     if fresh := rng.random() < 0.5:
         shutil.rmtree(out)
-    how = signal.Signals(rng.choice([signal.SIGKILL, signal.SIGINT, signal.SIGTERM]))
+    how = signal.Signals(rng.choice([signal.SIGKILL, *SIGNALS]))
     after = float(rng.uniform(0, 1.05 * took))
     status, err, orphans = ended(f"{line} {new} {into}", folder, how, after)
     amid, whole = contents(out), into != "-o out" or not half_written(out)
@@ -404,7 +405,7 @@ def kills(rng: Rng, folder: Path, corpus: Path, verb: str = "") -> Case:
     again = contents(out)
     left = [path.name for path in folder.glob(".excitant-*")]
     found = "refused" if status else "result"
-    unheard = status == -signal.SIGTERM and after < BEGINNING
+    unheard = status in (-signal.SIGTERM, -signal.SIGHUP) and after < BEGINNING
     if orphans:
         found = "orphan"
     elif unheard or "Fatal Python error: init_" in err:  # Python itself had not begun yet
@@ -442,7 +443,7 @@ def ended(
         process = subprocess.Popen(
             [sys.executable, "-m", "excitant", *words.split()], cwd=folder, stderr=err,
             stdout=subprocess.DEVNULL, start_new_session=True,
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+            preexec_fn=lambda: [signal.signal(number, signal.SIG_DFL) for number in SIGNALS],
         )  # fmt: skip
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(after if how else None)

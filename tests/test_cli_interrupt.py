@@ -135,13 +135,10 @@ def test_ctrl_c_amid_exec_ends_with_the_status_all_the_same(tmp_path: Path) -> N
 
 
 def test_a_command_under_nohup_outlives_its_terminal(tmp_path: Path) -> None:
-    code = (
-        "import os, signal, excitant.cli, excitant.__main__\n"
-        "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
-        "excitant.cli.main = lambda: os.kill(os.getpid(), signal.SIGHUP)\n"
-        "excitant.__main__.run()\n"
-    )
-    assert ran_amid(code, tmp_path).returncode == 0
+    imports = "import os, signal, excitant.cli, excitant.__main__ as command"
+    deaf = "signal.signal(signal.SIGHUP, signal.SIG_IGN)"
+    left = "excitant.cli.main = lambda: os.kill(os.getpid(), signal.SIGHUP)"
+    assert ran_amid(f"{imports}\n{deaf}\n{left}\ncommand.run()", tmp_path).returncode == 0
 
 
 @pytest.mark.slow
