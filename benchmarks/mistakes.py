@@ -447,8 +447,7 @@ def verdict(kind: str, where: str, arm: str, seed: int) -> dict[str, Any]:
     elif len(moving) < unseen.robot.nv:  # of a joint that stands in the hold-out as well
         off, least = known, least_errors(arm, seed)[moving]
     else:
-        # an arm, or a logger, is always as it is
-        same = where == "both" and (kind in MADE or wanted & {*OF_THE_ARM})
+        same = where == "both" and (kind in MADE or wanted & {*OF_THE_ARM})  # the arm is as it is
         log = planted(kind, "fit", [unseen])[0] if same else unseen.log
         off, least = errors(estimate, log), least_errors(arm, seed)
     verdicts = {"right": np.maximum(WORSE * least, SMALL), "said": WORSE * np.maximum(least, known)}
