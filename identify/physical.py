@@ -149,9 +149,7 @@ def fit_physical(
     covariance, root = _uncertainty(program, solution.y, scale)
     x = scale @ solution.y
     given = np.concatenate([prior.bodies.ravel(), effects.mean])
-    lower = np.concatenate(
-        [np.full(prior.bodies.size, -np.inf), effects.lower]
-    )
+    lower = np.concatenate([np.full(prior.bodies.size, -np.inf), effects.lower])
     rounding = _ROUNDING * np.linalg.norm(scale, axis=1)
     x = np.where(np.abs(x - given) < rounding, given, x)
     x = np.where(x - lower < rounding, lower, x)
