@@ -10,7 +10,7 @@ from excitant.analysis.confirmation import Finding, cancelling
 from excitant.analysis.residuals import Residual
 from excitant.analysis.selection import is_plain_friction
 from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, VERDICT
-from excitant.robots.effects import plain
+from excitant.robots.effects import Effect, plain
 from excitant.robots.robot import Robot
 
 
@@ -29,8 +29,11 @@ def reason_to_downgrade(
     if finding.by_chance(VERDICT.chance):
         return "its values are the given ones within their uncertainty"
     # a payload has mass
-    if effect.role == "link" and len(effect.joints) == 1 and finding.is_open:
-        return "the sign of its mass is not known to two standard deviations"
+    if effect.role == "link" and len(effect.joints) == 1:
+        if finding.is_open:
+            return "the sign of its mass is not known to two standard deviations"
+        if _loses_mass(robot, effect):
+            return "it would leave less than half of the given mass"
     if finding.is_vague:
         return "its size is less than its standard deviation"
     if _like_wrong_masses(robot, finding, findings, body_std):
@@ -53,6 +56,14 @@ def reason_to_downgrade(
         return f"it is smaller than the {uncertainty} of the larger causes"
     others = [other for other in findings if other is not finding]
     return next(filter(None, (_confused(finding, other) for other in others)), "")
+
+
+def _loses_mass(robot: Robot, effect: Effect) -> bool:
+    """Whether a link inside the arm, where no tool can be missing, has lost most of its mass."""
+    link = robot.joint_index(effect.joints[0])
+    lost = -(effect.values or (0.0,))[0]
+    most = VERDICT.lost_mass * robot.phi[10 * link]
+    return bool(link < robot.nv - 1 and lost > most)
 
 
 def _like_wrong_masses(

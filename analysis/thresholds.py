@@ -178,6 +178,10 @@ class VerdictThresholds:
     common_masses: float = 2.0
     """Relative gain < this many std of the nominal masses, which may all be off alike (5 %)."""
 
+    lost_mass: float = 0.5
+    """Share of its given mass that a link inside the arm lacks: other links, or what is not in the
+    vocabulary, are as likely. Convention."""
+
     lacking_friction: float = 0.5
     """Rms of nominal friction < this share of that found: the model lacks it. Convention."""
 

@@ -331,6 +331,20 @@ def test_a_link_may_be_lighter_than_given_a_payload_not_than_nothing(kind: str, 
     assert bool(said) == bool(reason_among(body))
 
 
+@pytest.mark.parametrize(
+    ("joint", "left", "said"),
+    [("joint1", 0.6, ""), ("joint1", 0.4, "half of the given mass"), ("joint2", 0.4, "")],
+)
+def test_no_link_but_that_of_the_tool_loses_half_of_its_mass(joint, left, said) -> None:
+    body = cause("inertial_parameters", joint=joint)
+    robot = load_robot("planar_2r")
+    link = robot.phi.reshape(-1, 10)[robot.joint_index(joint)]
+    vars(body)["effect"] = body.effect.with_values((left - 1) * link)
+    reason = reason_among(body)
+    assert said in reason
+    assert bool(said) == bool(reason)
+
+
 def test_a_rival_that_needs_the_link_too_is_none(coulomb: Diagnosis) -> None:
     robot, extender = coulomb.robot, coulomb.extension.extender
     link = EFFECTS["inertial_parameters"](robot.joints[:1])
