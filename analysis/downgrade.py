@@ -51,7 +51,7 @@ def reason_to_downgrade(
         return f"on the hold-out its size is {ratio} of the fitted one"
     if reason := _below_residual(finding, residuals):
         return reason
-    if finding.part < EVIDENCE.tolerance**2 and not is_plain_friction(effect):
+    if finding.explained < EVIDENCE.tolerance**2 and not is_plain_friction(effect):
         uncertainty = f"{100 * EVIDENCE.tolerance:.0f} % uncertainty"
         return f"it is smaller than the {uncertainty} of the larger causes"
     others = [other for other in findings if other is not finding]

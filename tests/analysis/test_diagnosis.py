@@ -228,7 +228,6 @@ def cause(
 ) -> Finding:  # fmt: skip
     """Its effect, and its torque at each of two joints."""
     shown = {"effect": EFFECTS[kind]((joint,), **shape), "explained": explained, "scale": scale}
-    shown["part"] = explained
     shown |= {"by_chance": lambda level: False, "is_open": False, "is_vague": False}
     return SimpleNamespace(**shown, torque=np.ones((100, 1)) * torque, share=1.0)
 
