@@ -466,8 +466,9 @@ def _extended(
     evidence = gather(mounted.robot, train, tau, prior, gains=gains)
     first = Extender(prior, train, tau, holdout, evidence, gains, halves)
     changes = frozenset((effect.name, effect.joints) for effect in mounted.effects)
-    fit, doubted = _iterated(first, changes)
+    fit, selection = _iterated(first, changes)
     refuted = changes | fit.refuted
+    doubted = _replaceable(mounted.robot, *selection)
     for excluded in filter(None, (fit.refuted, doubted)):
         again, _ = _iterated(first, changes | excluded)
         if holdout.worse(fit.predicted, again.predicted, CONFIRMATION.floor):
@@ -632,18 +633,20 @@ def _judged_set_up(mounted: SetUp, finding: Finding) -> Finding:
     return replace(finding, rivals=mounted.rivals, downgrade=reason)
 
 
+_Selection = tuple[Evidence, list[Candidate]]
+
+
 def _iterated(
     first: Extender, excluded: frozenset[Key]
-) -> tuple[Extension, frozenset[Key]]:
+) -> tuple[Extension, _Selection]:
     """The model with the causes that the hold-out confirms, searched for again with that model.
 
-    And the causes of the first search that another would replace which is read from the torque of
-    the model: that torque has them from then on, so that their order would decide.
+    And what the first search selected.
     """
     holdout = first.holdout
     robot = first.train.robot
     best: Extension | None = None
-    doubted = frozenset[Key]()
+    selections: list[_Selection] = []
     extender = first
     for _ in range(SEARCH.rounds):
         if best is not None:
@@ -659,26 +662,29 @@ def _iterated(
             )
             extender = replace(extender, evidence=evidence)
         evidence, chosen = select(extender.evidence, robot, excluded)
+        selections.append((evidence, chosen))
         fit = confirmed(replace(extender, evidence=evidence), chosen)
-        if best is None:
-            doubted = _replaceable(evidence, robot, chosen)
-        elif holdout.worse(fit.predicted, best.predicted, SEARCH.gain):
-            break
-        elif not holdout.worse(best.predicted, fit.predicted, SEARCH.gain):
-            return fit, doubted
+        if best is not None:
+            if holdout.worse(fit.predicted, best.predicted, SEARCH.gain):
+                break
+            if not holdout.worse(best.predicted, fit.predicted, SEARCH.gain):
+                return fit, selections[0]
         best = fit
         if not any(
             c.effect.physics.on_model or c.effect.search.shapes for c in chosen
         ):
             break
     assert best is not None
-    return best, doubted
+    return best, selections[0]
 
 
 def _replaceable(
-    evidence: Evidence, robot: Robot, chosen: Sequence[Candidate]
+    robot: Robot, evidence: Evidence, chosen: Sequence[Candidate]
 ) -> frozenset[Key]:
-    """Causes with a rival that is read from the torque of the model."""
+    """Selected causes with a rival that is read from the torque of the model.
+
+    That torque has them once they are selected, so that their order would decide.
+    """
     return frozenset(
         cause.key
         for cause in chosen
