@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from excitant.robots.effects import experiments as by
 from excitant.robots.effects.base import (
@@ -29,6 +30,11 @@ MASSLESS = 1e-9  # of the largest inertia that a joint moves: rounding
 RIPPLE_CANDIDATES = 3  # orders at each joint, the best of all
 MOST_ORDERS = 600
 ORDERS_AT_ONCE = 30  # which fit into the processor's cache
+SPECTRUM = 256  # samples of each stretch of which power is averaged
+NOISE_BAND, NOISE_RISE = (
+    4.0,
+    3.0,
+)  # times a frequency, and its power, that noise exceeds
 SLOW_RIPPLE = 3.0  # periods per turn, below which a ripple is as smooth as a spring
 DEPENDENT = 1e-8  # determinant of two unit columns of which nothing is left
 SLOWEST_MEDIAN = 1e-3  # rad/s
@@ -290,6 +296,25 @@ class _Lag(Effect):
     acts_on = Acts.ONE
 
 
+def _load(robot: Robot, motion: Motion, j: int) -> Array:
+    """Rigid-body torque of joint j, shape (n,), without noise of positions.
+
+    Power of a motion falls with frequency; that of noise rises, and then derivatives of the torque
+    would be noise alone.
+    """
+    tau: Array = rigid_torque(robot, motion)[:, j]
+    if len(tau) < SPECTRUM:
+        return tau
+    rate = 1 / (motion.t[1] - motion.t[0])
+    f, power = scipy.signal.welch(tau, rate, nperseg=SPECTRUM)
+    for edge, least in zip(f[1:], power[1:], strict=True):
+        above = power[(f > edge) & (f <= NOISE_BAND * edge)]
+        if len(above) and np.median(above) > NOISE_RISE * least:
+            sos = scipy.signal.butter(4, edge, fs=rate, output="sos")
+            return np.asarray(scipy.signal.sosfiltfilt(sos, tau), float)
+    return tau
+
+
 @registered
 class JointElasticity(_Lag):
     """Link angle = motor angle − c τ with the compliance c = 1/k, to first order in c."""
@@ -306,8 +331,7 @@ class JointElasticity(_Lag):
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         j = self.rows(robot)[0]
-        lag = rigid_torque(robot, motion)[:, j]
-        return torque_along(robot, motion, j, -lag)[:, :, None]
+        return torque_along(robot, motion, j, -_load(robot, motion, j))[:, :, None]
 
 
 @registered
@@ -346,7 +370,7 @@ class Backlash(_Lag):
         if inertia[:, j].min() <= MASSLESS * inertia.max():
             # such a link is never left behind
             return np.zeros((*motion.q.shape, 1))
-        acceleration = rigid_torque(robot, motion)[:, j] / inertia[:, j]
+        acceleration = _load(robot, motion, j) / inertia[:, j]
         lag = play(motion.t, acceleration, self.trial)
         return torque_along(robot, motion, j, -(lag / self.trial))[:, :, None]
 
