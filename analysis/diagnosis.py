@@ -31,7 +31,7 @@ from excitant.analysis.diagnosis_result import (
     result_of,
 )
 from excitant.analysis.downgrade import reason_to_downgrade
-from excitant.analysis.evidence import Candidate, Evidence, Key
+from excitant.analysis.evidence import Key
 from excitant.analysis.explanation import (
     Item,
     grouped,
@@ -466,11 +466,11 @@ def _extended(
     evidence = gather(mounted.robot, train, tau, prior, gains=gains)
     first = Extender(prior, train, tau, holdout, evidence, gains, halves)
     changes = frozenset((effect.name, effect.joints) for effect in mounted.effects)
-    fit, selection = _iterated(first, changes)
+    fit = _iterated(first, changes)
     refuted = changes | fit.refuted
-    doubted = _replaceable(mounted.robot, *selection)
+    doubted = _replaceable(mounted.robot, fit)
     for excluded in filter(None, (fit.refuted, doubted)):
-        again, _ = _iterated(first, changes | excluded)
+        again = _iterated(first, changes | excluded)
         if holdout.worse(fit.predicted, again.predicted, CONFIRMATION.floor):
             fit = again
     # all that is missing in the model looks a little like a gain common to all joints
@@ -480,7 +480,7 @@ def _extended(
         if c.effect.physics.on_given_torque and c.effect.is_common(mounted.robot)
     )
     if gains_of_all:
-        again, _ = _iterated(first, changes | gains_of_all)
+        again = _iterated(first, changes | gains_of_all)
         if not holdout.worse(again.predicted, fit.predicted, CONFIRMATION.floor):
             fit = again
     assert fit.extender is not None
@@ -633,20 +633,11 @@ def _judged_set_up(mounted: SetUp, finding: Finding) -> Finding:
     return replace(finding, rivals=mounted.rivals, downgrade=reason)
 
 
-_Selection = tuple[Evidence, list[Candidate]]
-
-
-def _iterated(
-    first: Extender, excluded: frozenset[Key]
-) -> tuple[Extension, _Selection]:
-    """The model with the causes that the hold-out confirms, searched for again with that model.
-
-    And what the first search selected.
-    """
+def _iterated(first: Extender, excluded: frozenset[Key]) -> Extension:
+    """The model with the causes that the hold-out confirms, searched for again with that model."""
     holdout = first.holdout
     robot = first.train.robot
     best: Extension | None = None
-    selections: list[_Selection] = []
     extender = first
     for _ in range(SEARCH.rounds):
         if best is not None:
@@ -662,35 +653,32 @@ def _iterated(
             )
             extender = replace(extender, evidence=evidence)
         evidence, chosen = select(extender.evidence, robot, excluded)
-        selections.append((evidence, chosen))
         fit = confirmed(replace(extender, evidence=evidence), chosen)
         if best is not None:
             if holdout.worse(fit.predicted, best.predicted, SEARCH.gain):
                 break
             if not holdout.worse(best.predicted, fit.predicted, SEARCH.gain):
-                return fit, selections[0]
+                return fit
         best = fit
         if not any(
             c.effect.physics.on_model or c.effect.search.shapes for c in chosen
         ):
             break
     assert best is not None
-    return best, selections[0]
+    return best
 
 
-def _replaceable(
-    robot: Robot, evidence: Evidence, chosen: Sequence[Candidate]
-) -> frozenset[Key]:
-    """Selected causes with a rival that is read from the torque of the model.
+def _replaceable(robot: Robot, fit: Extension) -> frozenset[Key]:
+    """Causes with a rival that is read from the torque of the model.
 
     That torque has them once they are selected, so that their order would decide.
     """
     return frozenset(
         cause.key
-        for cause in chosen
+        for cause in fit.chosen
         if not cause.effect.physics.on_model
         and any(
             rival.candidate.effect.physics.depends_on == "torque"
-            for rival in rivals(evidence, robot, chosen, cause)
+            for rival in rivals(fit.evidence, robot, fit.chosen, cause)
         )
     )
