@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
@@ -234,11 +235,10 @@ def sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     joints = list(dict.fromkeys(joint for f in group for joint in f.effect.joints))
     if len({f.effect.name for f in group}) > 1:
         sure = {f.effect.name for f in group if f.verdict == "named"}
-        named = _kinds([f for f in group if f.effect.name in sure], diagnosis)
-        others = _kinds([f for f in group if f.effect.name not in sure], diagnosis)
-        beside = f"; undecided: {others}" if named and others else ""
-        kinds = f"{named or others}{beside}"
-        return f"Friction of {len(joints)} joints is not in the model: {kinds}"
+        named = [f for f in group if f.effect.name in sure]
+        kinds = _kinds(named or group, diagnosis)
+        where = joints[0] if len(joints) == 1 else f"{len(joints)} joints"
+        return f"Friction of {where} is not in the model: {kinds}"
     alike = group if len(joints) == 1 else group[:1]
     of_all = [size for f in alike for size in sizes(f, diagnosis)]
     text = lead.words.sentence(lead, diagnosis.robot, joints, of_all)
@@ -315,7 +315,7 @@ def _ranges(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
 
 def _reservation(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     """Rivals of a group's cause in a sentence, or the reason why it is undecided."""
-    rivals = {r.candidate.effect.name for f in group for r in f.rivals}
+    rivals = Counter(r.candidate.effect.name for f in group for r in f.rivals)
     if not rivals:
         reasons = dict.fromkeys(f.downgrade for f in group if f.downgrade)
         return "".join(f" This is not decided: {reason}." for reason in reasons)
@@ -323,7 +323,9 @@ def _reservation(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
         rival = group[0].rivals[0].candidate.effect
         other = rival.words.noun(rival, diagnosis.robot)
         return f" {other[0].upper()}{other[1:]} would look the same."
-    count = sum(bool(f.rivals) for f in group)
-    some = "all of them" if count == len(group) else f"{count} of them"
-    names = " or ".join(plain(name) for name in sorted(rivals)[:2])
-    return f" At {some}, {names} would look the same."
+    joints = {joint for f in group for joint in f.effect.joints}
+    open_at = {joint for f in group if f.rivals for joint in f.effect.joints}
+    count = "all" if open_at == joints else str(len(open_at))
+    name = plain(rivals.most_common(1)[0][0])
+    other = name if len(rivals) == 1 else f"another effect, such as {name},"
+    return f" At {count} of these joints, {other} would look the same."
