@@ -87,6 +87,7 @@ class Finding:
         by_gains: Their errors by one standard deviation of the drive gains, shape (k,).
         explained: Share of the nominal model's squared error on the hold-out that it removes;
             beyond one where other causes depend on it.
+        part: The same of the error at the joints that it acts on.
         joint: Index of the joint where it is largest relative to what remains.
         rms_before: Error on the hold-out without it, all others kept, of its joints that turn or
             slide as that one does [torque unit].
@@ -104,6 +105,7 @@ class Finding:
     covariance: Array
     by_gains: Array
     explained: float
+    part: float
     joint: int
     rms_before: float
     rms_after: float
@@ -694,7 +696,7 @@ def finding_of(
     error = rows.measured - fit.predicted
     without = error + torque
     weight = rows.moves * holdout.gains / fit.evidence.sigma
-    power = float(((holdout.error * weight) ** 2).sum())
+    power = ((holdout.error * weight) ** 2).sum(axis=0)
     joints = effect.affected(robot)
     fall = ((without**2 - error**2) * weight**2)[:, joints]
     scale = holdout_scale(
@@ -719,7 +721,8 @@ def finding_of(
         tuple(nominal),
         covariance,
         np.zeros(len(nominal)),
-        explained=float(fall.sum()) / power,
+        explained=float(fall.sum() / power.sum()),
+        part=float(fall.sum() / power[joints].sum()),
         joint=lead,
         rms_before=holdout.rms_like(without, joints, lead),
         rms_after=holdout.rms_like(error, joints, lead),

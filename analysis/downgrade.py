@@ -51,7 +51,7 @@ def reason_to_downgrade(
         return f"on the hold-out its size is {ratio} of the fitted one"
     if reason := _below_residual(finding, residuals):
         return reason
-    if finding.explained < EVIDENCE.tolerance**2 and not is_plain_friction(effect):
+    if finding.part < EVIDENCE.tolerance**2 and not is_plain_friction(effect):
         uncertainty = f"{100 * EVIDENCE.tolerance:.0f} % uncertainty"
         return f"it is smaller than the {uncertainty} of the larger causes"
     others = [other for other in findings if other is not finding]
@@ -92,16 +92,22 @@ def _below_residual(finding: Finding, residuals: Sequence[Residual]) -> str:
     # a cause on several joints has to explain them all, so a smaller residual counts
     several = finding.torque.any(axis=0).sum() > 1
     unknown = (
-        np.array([r.structured if r.visible else 0.0 for r in residuals]) / noise
+        np.array(
+            [r.structured if r.visible or not several else 0.0 for r in residuals]
+        )
+        / noise
     )
     size = np.sqrt((finding.torque**2).mean(axis=0)) / noise
     main = size > (0.0 if several else VERDICT.main_joint * size.max())
-    share = VERDICT.residual_share if several else 1.0
+    share = VERDICT.residual_share if several else VERDICT.own_residual_share
     if (unknown[main] ** 2).sum() <= share * (size[main] ** 2).sum():
         return ""
     if several:
         return "it acts on several joints at once, and the residual on some is not small"
-    return "more remains unexplained on its joints than it explains"
+    unexplained = f"{100 * VERDICT.own_residual_share:.0f} %"
+    return (
+        f"over {unexplained} of the square of its torque remain unexplained there"
+    )
 
 
 def _confused(finding: Finding, other: Finding) -> str:

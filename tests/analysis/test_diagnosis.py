@@ -228,6 +228,7 @@ def cause(
 ) -> Finding:  # fmt: skip
     """Its effect, and its torque at each of two joints."""
     shown = {"effect": EFFECTS[kind]((joint,), **shape), "explained": explained, "scale": scale}
+    shown["part"] = explained
     shown |= {"by_chance": lambda level: False, "is_open": False, "is_vague": False}
     return SimpleNamespace(**shown, torque=np.ones((100, 1)) * torque, share=1.0)
 
@@ -235,9 +236,9 @@ def cause(
 @pytest.mark.parametrize(
     ("rms", "left", "own", "rough", "said"),
     [
-        # more left than explained at its joint
-        ((0.0, 1.0), (0.0, 0.9), 0.5, ("joint2", 0.0), ""),
-        ((0.0, 1.0), (0.0, 1.1), 0.5, ("joint2", 0.0), "more remains"),
+        # over a fifth of its square is left at its joint
+        ((0.0, 1.0), (0.0, 0.4), 0.5, ("joint2", 0.0), ""),
+        ((0.0, 1.0), (0.0, 0.5), 0.5, ("joint2", 0.0), "unexplained"),
         ((0.0, 1.0), (1.1, 0.0), 0.5, ("joint2", 0.0), ""),
         # at several joints, it has to explain them all
         ((1.0, 1.0), (0.0, 0.2), 0.5, ("joint2", 0.0), ""),
