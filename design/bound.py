@@ -381,7 +381,7 @@ def _newton_step(
 
 def _against(M: Array, X: Array) -> Array:
     """⟨M_k, Q − P⟩ of every state, shape (n,)."""
-    return np.asarray(np.tensordot(M, X[1] - X[0], axes=2))
+    return np.tensordot(M, X[1] - X[0], axes=2)
 
 
 def _reach(A: Array, D: Array) -> float:
@@ -399,8 +399,7 @@ def _reach_line(x: Array, dx: Array) -> float:
 
 
 def _symmetric(A: Array) -> Array:
-    S: Array = (A + np.swapaxes(A, 1, 2)) / 2
-    return S
+    return (A + np.swapaxes(A, 1, 2)) / 2
 
 
 def _root(A: Array) -> Array:

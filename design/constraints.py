@@ -240,8 +240,7 @@ def shares_of_limits(robot: Robot, motion: Motion) -> Array:
         [kinematic, largest_torque(robot, motion)[:, None]], axis=1
     )
     with np.errstate(over="ignore"):  # of a limit that is hardly any
-        shares: Array = np.abs(values) / bounds
-    return shares
+        return np.abs(values) / bounds
 
 
 def within_limits(
@@ -298,8 +297,7 @@ def _torque_use(
     def rate(s: Array) -> Array:
         ahead = np.minimum(s + dt, t[-1])
         behind = np.maximum(s - dt, t[0])
-        slope: Array = (tau(ahead) - tau(behind)) / (ahead - behind)[:, None]
-        return slope
+        return (tau(ahead) - tau(behind)) / (ahead - behind)[:, None]
 
     return _use(robot, "torque", _extrema(tau, rate, t), zero, bound)
 
@@ -309,8 +307,7 @@ def _reversals(spline: HermiteTrajectory, t: Array) -> Array:
     k, joint = np.nonzero(v[:-1] * v[1:] < 0)
     before = v[k, joint]
     after = v[k + 1, joint]
-    crossing: Array = t[k] + (t[k + 1] - t[k]) * before / (before - after)
-    return crossing
+    return t[k] + (t[k + 1] - t[k]) * before / (before - after)
 
 
 def _extrema(
@@ -409,4 +406,4 @@ def pose_use(scene: Scene | None, required: float, q: Array) -> Array:
     """1 where a pose has the distance required [m]; more where it has less, shape (n,)."""
     if scene is None:
         return np.zeros(len(q))
-    return np.asarray(1 + (required - scene.distances(q).min(axis=1)) / SCALE)
+    return 1 + (required - scene.distances(q).min(axis=1)) / SCALE

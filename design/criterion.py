@@ -65,8 +65,7 @@ class Information:
     def gram(self, observation: Array) -> Array:
         """M of weighted base columns at n instants, shape (n, nv, r) to (r, r)."""
         W = observation.reshape(-1, len(self.base))
-        M: Array = W.T @ W / len(observation) + self.earlier
-        return M
+        return W.T @ W / len(observation) + self.earlier
 
     def linearise(self, motion: Motion) -> RegressorDerivatives:
         """Base columns with their exact derivatives by q, q̇ and q̈ (with the smooth sign)."""
@@ -193,8 +192,7 @@ def information_derivative(
         S = WU[None] @ (block @ U)
         total += np.tensordot(phi, S.reshape(nv, n, m * m), axes=(0, 1))
     D = total.reshape(c * nv, m, m) / n
-    derivative: Array = D + np.swapaxes(D, 1, 2)
-    return derivative
+    return D + np.swapaxes(D, 1, 2)
 
 
 def objective(M: Array, criterion: str) -> float:

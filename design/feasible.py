@@ -108,10 +108,7 @@ def random_start(
 
 def torque_use(robot: Robot, motion: Motion) -> Array:
     """Largest torque over its limit per joint at the instants of a motion, shape (nv,)."""
-    use: Array = (np.abs(largest_torque(robot, motion)) / robot.limits.torque).max(
-        axis=0
-    )
-    return use
+    return (np.abs(largest_torque(robot, motion)) / robot.limits.torque).max(axis=0)
 
 
 def _draw(

@@ -172,8 +172,7 @@ def _polished(
 def _own(
     problem: DesignProblem, z: Array, t: Array, joint: Joints, order: int
 ) -> Array:
-    values: Array = np.einsum("kd,kd->k", problem.basis(t, order), z[:, joint].T)
-    return values
+    return np.einsum("kd,kd->k", problem.basis(t, order), z[:, joint].T)
 
 
 def torque_rows(
@@ -275,8 +274,7 @@ def _difference(
     total = np.zeros(motion.q.shape)
     for effect in effects:
         total += effect.torque(robot, ahead) - effect.torque(robot, behind)
-    slope: Array = total / (2 * _STEP)
-    return slope
+    return total / (2 * _STEP)
 
 
 def worst_use(problem: DesignProblem, z: Array) -> float:

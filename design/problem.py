@@ -117,8 +117,7 @@ class DesignProblem:
 
     def unknowns(self, trajectory: Trajectory) -> Array:
         """The unknowns of a trajectory at rest, or of the nearest that the series holds."""
-        z: Array = self.series.rest.T @ self.series.nearest(trajectory)
-        return z
+        return self.series.rest.T @ self.series.nearest(trajectory)
 
     def sampled(self, z: Array) -> Motion:
         """The motion at `samples`."""

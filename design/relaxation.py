@@ -78,10 +78,9 @@ class StateSpace:
 
     def use(self, motion: Motion) -> Array:
         """Largest torque over its limit at each state, shape (n,)."""
-        use: Array = (
-            np.abs(torque(self.robot, motion)) / self.robot.limits.torque
-        ).max(axis=1)
-        return use
+        return (np.abs(torque(self.robot, motion)) / self.robot.limits.torque).max(
+            axis=1
+        )
 
     def slowed(self, motion: Motion) -> Motion:
         """The states, time stretched until torque holds; those that gravity forbids left out."""
@@ -169,8 +168,7 @@ class TestFunctions:
             df[:, :, None] * motion.dq[:, None]
             + f[:, :, None] * motion.ddq[:, None]
         )
-        scaled: Array = rates.reshape(len(motion), -1) / self.scale
-        return scaled
+        return rates.reshape(len(motion), -1) / self.scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +190,7 @@ class Multipliers:
     @property
     def repair(self) -> Array:
         """R = (I / r + Q) / 2 of trace 1, by which a violation is repaired."""
-        R: Array = SAMPLING.identity_share * np.eye(len(self.Q)) / len(self.Q)
+        R = SAMPLING.identity_share * np.eye(len(self.Q)) / len(self.Q)
         return R + (1 - SAMPLING.identity_share) * self.Q
 
     def repaired(self, violation: float) -> Multipliers:
@@ -221,8 +219,7 @@ class Relaxation:
     def matrices(self, motion: Motion) -> Array:
         """M of each state, shape (n, r, r)."""
         Y = self.information.observation(motion)
-        M: Array = np.swapaxes(Y, 1, 2) @ Y * (self.odd[:, None] == self.odd)
-        return M
+        return np.swapaxes(Y, 1, 2) @ Y * (self.odd[:, None] == self.odd)
 
     def price(self, multipliers: Multipliers, motion: Motion) -> Array:
         """Violation g / ⟨R, M⟩ at each state, shape (n,).
@@ -234,8 +231,7 @@ class Relaxation:
             _form(Y, multipliers.P - multipliers.Q)
             + self.tests.rates(motion) @ multipliers.y
         )
-        price: Array = g / (_form(Y, multipliers.repair) + 1e-300)
-        return price
+        return g / (_form(Y, multipliers.repair) + 1e-300)
 
     def worst(
         self,
@@ -295,16 +291,12 @@ class Relaxation:
         parents = known[rng.integers(len(known), size=count)]
         inherited = rng.random(u.shape) < rng.choice([0.0, 0.7, 0.9], (count, 1))
         u = np.where(inherited, parents, u)
-        best: Array = u[np.argsort(-self._merit(multipliers, u))[:n]]
-        return best
+        return u[np.argsort(-self._merit(multipliers, u))[:n]]
 
     def _merit(self, multipliers: Multipliers, u: Array) -> Array:
         motion = self.space.motion(u)
         over = np.maximum(self.space.use(motion) - 1, 0.0)
-        merit: Array = (
-            self.price(multipliers, motion) - SAMPLING.torque_penalty * over**2
-        )
-        return merit
+        return self.price(multipliers, motion) - SAMPLING.torque_penalty * over**2
 
     def _slope(self, multipliers: Multipliers, u: Array, merit: Array) -> Array:
         """Gradient of the merit by u, by differences towards the inside of the cube."""
@@ -318,7 +310,7 @@ class Relaxation:
 
 def _form(Y: Array, F: Array) -> Array:
     """⟨F, YᵀY⟩ at each state, shape (n,)."""
-    return np.asarray(np.einsum("nij,nij->n", Y @ F, Y))
+    return np.einsum("nij,nij->n", Y @ F, Y)
 
 
 def relaxation(robot: Robot, columns: str, top: float) -> Relaxation:

@@ -352,5 +352,4 @@ def lone_torque(M: Array) -> Array:
     """
     values, V = np.linalg.eigh(M)
     floor = max(float(values[-1]), 1e-300) * np.finfo(float).eps
-    lone: Array = 1 / np.sqrt((V**2 / np.maximum(values, floor)).sum(axis=1))
-    return lone
+    return 1 / np.sqrt((V**2 / np.maximum(values, floor)).sum(axis=1))

@@ -198,8 +198,7 @@ class Path:
 
     def __call__(self, s: npt.ArrayLike, order: int = 0) -> Array:
         """Evaluate the path or its derivative with respect to s, shape (n, nv)."""
-        values: Array = self.spline(np.asarray(s, float), order)
-        return values
+        return self.spline(np.asarray(s, float), order)
 
     @property
     def dof(self) -> int:
@@ -358,8 +357,7 @@ def _shortened(waypoints: Array, free: Edge, rng: np.random.Generator) -> Array:
     kept = np.append(
         True, np.linalg.norm(np.diff(waypoints, axis=0), axis=1) > 1e-9
     )
-    shortened: Array = waypoints[kept]
-    return shortened
+    return waypoints[kept]
 
 
 def timed(robot: Robot, path: Path, rate_hz: float, name: str = "timing") -> Motion:
@@ -408,9 +406,7 @@ class Profile:
         i = np.clip(np.searchsorted(t, instants, side="right") - 1, 0, len(t) - 2)
         into = instants - t[i]
         rate = (self.speed[i + 1] - self.speed[i]) / (t[i + 1] - t[i])
-        s: Array = np.clip(
-            self.s[i] + self.speed[i] * into + rate * into**2 / 2, 0.0, 1.0
-        )
+        s = np.clip(self.s[i] + self.speed[i] * into + rate * into**2 / 2, 0.0, 1.0)
         s[0] = 0.0
         s[-1] = 1.0
         return s

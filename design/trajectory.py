@@ -82,8 +82,7 @@ class FourierSeries:
     def along(self, times: Array, coefficients: Array, order: int) -> Array:
         """A derivative of joint j at its own instants ``times[:, j]``, same shape (k, nv)."""
         basis = self.basis(times.ravel(), order).reshape(*times.shape, -1)
-        values: Array = np.einsum("njc,cj->nj", basis, coefficients, optimize=True)
-        return values
+        return np.einsum("njc,cj->nj", basis, coefficients, optimize=True)
 
     def instants(self, per_term: int) -> Array:
         """Equidistant instants over one period, the end left out [s]."""
@@ -94,8 +93,7 @@ class FourierSeries:
         """Coefficients at rest nearest to another motion by least squares, shape (c, nv)."""
         t = np.arange(16 * self.size) / (16 * self.size) * self.period
         z = np.linalg.lstsq(self.basis(t) @ self.rest, trajectory(t), rcond=None)[0]
-        coefficients: Array = self.rest @ z
-        return coefficients
+        return self.rest @ z
 
     def extremum_times(self, coefficients: Array, order: int) -> Array:
         """Instants among which every extremum of a derivative lies, shape (k, nv) [s].
@@ -120,8 +118,7 @@ class FourierSeries:
             )
         w = 2 * np.pi / self.period
         start = np.zeros(coefficients.shape[1])
-        times: Array = np.vstack([start, np.mod(theta, 2 * np.pi) / w])
-        return times
+        return np.vstack([start, np.mod(theta, 2 * np.pi) / w])
 
     def reach(self, bound: Array) -> Array:
         """Largest useful change of each coefficient alone (c, nv), from half ranges of q, q̇, q̈."""
@@ -131,8 +128,7 @@ class FourierSeries:
         ]
         with np.errstate(divide="ignore"):
             each = [b / peak[:, None] for b, peak in zip(bound, peaks, strict=True)]
-        least: Array = np.min(each, axis=0)
-        return least
+        return np.min(each, axis=0)
 
 
 class _Curve(ABC):
@@ -220,7 +216,7 @@ class Trajectory(_Curve, Shown):
         The rate is adjusted, by less than half a sample, to divide the duration.
         """
         n = max(1, round(self.duration * rate_hz))
-        t: Array = np.arange(repetitions * n + 1.0) * (self.duration / n)
+        t = np.arange(repetitions * n + 1.0) * (self.duration / n)
         once = self.at(np.linspace(0.0, self.duration, n + 1))
         k = np.append(np.tile(np.arange(n), repetitions), n)
         return Motion(t, once.q[k], once.dq[k], once.ddq[k])
@@ -280,5 +276,4 @@ class HermiteTrajectory(_Curve):
         self._q = scipy.interpolate.BPoly.from_derivatives(samples.t, knots)
 
     def __call__(self, t: npt.ArrayLike, order: int = 0) -> Array:
-        values: Array = self._q(np.atleast_1d(np.asarray(t, float)), nu=order)
-        return values
+        return self._q(np.atleast_1d(np.asarray(t, float)), nu=order)

@@ -164,8 +164,7 @@ def _along(mark: Mark, along: str) -> Array:
         case Band() if along == "y":
             return np.concatenate([mark.low, mark.high])
         case Line() | Points() | Band():
-            values: Array = np.asarray(getattr(mark, along), float)
-            return values
+            return np.asarray(getattr(mark, along), float)
         case Span() if along == "y":
             return np.array([mark.low, mark.high])
         case Rule() if mark.along == along:

@@ -133,12 +133,11 @@ def read_result(directory: str | Path) -> dict[str, Any]:
     """Plain values of ``result.json``; BadInput when it is missing or no JSON."""
     path = Path(directory) / RESULT
     try:
-        result: dict[str, Any] = parsed_json(_content(path), finite)
+        return parsed_json(_content(path), finite)
     except (ValueError, RecursionError) as error:
         raise BadInput(
             f"{path}: not JSON ({error}); run the command again"
         ) from None
-    return result
 
 
 def _record(directory: Path) -> Result:

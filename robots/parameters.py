@@ -196,8 +196,7 @@ class BaseEstimate:
 
         numbers = np.column_stack([self.value, self.covariance])
         rows = pd.Index(self.names, name="parameter")
-        text: str = pd.DataFrame(numbers, rows, ["value", *self.names]).to_csv()
-        return text
+        return pd.DataFrame(numbers, rows, ["value", *self.names]).to_csv()
 
 
 def base_estimate_from_csv(text: str, path: Path) -> BaseEstimate:

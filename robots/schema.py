@@ -208,7 +208,7 @@ def read_yaml(path: str | Path, kind: type[T], holds: str) -> T:
 
 def in_one_line(content: object) -> str:
     """Content of a YAML file on one line."""
-    text: str = yaml.safe_dump(
+    text = yaml.safe_dump(
         content,
         default_flow_style=True,
         sort_keys=False,

@@ -379,7 +379,7 @@ def stick_or_slip(
         backward: The same against negative motion.
         G: Velocity of each contact, of the N coordinates first, per v, shape (c, N).
     """
-    A = np.asarray(np.linalg.inv(K), np.float64)
+    A = np.linalg.inv(K)
     w = G @ v
     GA = G @ A
     S = GA @ G.T

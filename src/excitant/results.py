@@ -1615,8 +1615,7 @@ def verb_of(record: Record) -> str:
 
 def plain_of(record: Record) -> dict[str, Any]:
     """Plain values of a record, without fields that have their defaults."""
-    plain: dict[str, Any] = msgspec.to_builtins(record)
-    return plain
+    return msgspec.to_builtins(record)
 
 
 def record_of(result: Mapping[str, Any]) -> Result:
@@ -1626,5 +1625,4 @@ def record_of(result: Mapping[str, Any]) -> Result:
         msgspec.ValidationError: An unknown verb, or a field that is missing, unknown or of another
             type; names its path.
     """
-    record: Result = msgspec.convert(result, Result)
-    return record
+    return msgspec.convert(result, Result)
