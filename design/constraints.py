@@ -14,7 +14,7 @@ from excitant.design.trajectory import HermiteTrajectory, Trajectory
 from excitant.exceptions import BadInput, OutsideLimits
 from excitant.robots.geometry import Scene
 from excitant.robots.limits import Limits
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion, Noun
 from excitant.robots.robot import Robot
 from excitant.robots.torque import largest_torque
 
@@ -53,7 +53,7 @@ Extrema = Array
 
 
 @dataclass(frozen=True, eq=False)
-class LimitUse:
+class LimitUse(Noun):
     """Use of one limit: the largest magnitude as a share of it; ≤ 1 holds."""
 
     quantity: str  # ``"position"``, ``"velocity"``, ``"acceleration"``, ``"jerk"`` or ``"torque"``
@@ -63,9 +63,6 @@ class LimitUse:
     high: Array  # largest value, shape (nv,)
     limits: Array  # lower and upper limit, infinite without one, shape (nv, 2)
     joints: tuple[str, ...]  # names of the joints
-
-    def __post_init__(self) -> None:
-        freeze(self, "ratios", "times", "low", "high", "limits")
 
     @property
     def ratio(self) -> float:

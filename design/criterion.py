@@ -11,7 +11,7 @@ import numpy.typing as npt
 from excitant.exceptions import BadInput, UnknownName
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion, Noun
 from excitant.robots.regressor import RegressorDerivatives, regressor_derivatives
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
@@ -25,7 +25,7 @@ _SIGN_WIDTH = (
 
 
 @dataclass(frozen=True, eq=False)
-class Information:
+class Information(Noun):
     """Objective of a design: base columns of the observation matrix W.
 
     They are ``"inertial"`` (standard parameters of the links) or ``"friction"`` (those with
@@ -37,9 +37,6 @@ class Information:
     base: BaseParameters  # of these columns
     weights: Array  # of each joint's equations, 1 / its noise relative to the others, shape (nv,)
     earlier: Array  # information of earlier recordings per sample of the new motion, (r, r)
-
-    def __post_init__(self) -> None:
-        freeze(self, "weights", "earlier")
 
     @property
     def effects(self) -> tuple[Effect, ...]:

@@ -46,7 +46,7 @@ import pinocchio as pin
 from excitant.exceptions import BadRobot
 from excitant.robots.angles import Angles
 from excitant.robots.limits import Limits
-from excitant.robots.motion import Array, freeze
+from excitant.robots.motion import Array, Noun
 from excitant.robots.parameters import elements, moved_parameters, steiner
 from excitant.robots.robot import Robot
 from excitant.robots.schema import (
@@ -69,7 +69,7 @@ CONVENTIONS: tuple[Convention, Convention] = ("standard", "modified")
 
 
 @dataclass(frozen=True, eq=False)
-class DHChain:
+class DHChain(Noun):
     """A serial arm in Denavit-Hartenberg form.
 
     Attributes:
@@ -103,9 +103,6 @@ class DHChain:
     base: Array
     tool: Array
     shapes: tuple[tuple[CylinderRecord, ...], ...] = ()
-
-    def __post_init__(self) -> None:
-        freeze(self, "a", "d", "alpha", "theta", "phi", "gravity", "base", "tool")
 
     @property
     def nv(self) -> int:

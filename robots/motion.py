@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +37,15 @@ def freeze(noun: object, *names: str) -> None:
     """Replace arrays of a frozen dataclass, as it is made, by copies that refuse writing."""
     for name in names:
         object.__setattr__(noun, name, read_only(getattr(noun, name)))
+
+
+@dataclass(frozen=True, eq=False)
+class Noun:
+    """A frozen dataclass whose fields declared as ``Array`` are copies that refuse writing."""
+
+    def __post_init__(self) -> None:
+        arrays = (field.name for field in fields(self) if field.type == "Array")
+        freeze(self, *arrays)
 
 
 @dataclass(frozen=True, eq=False)

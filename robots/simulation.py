@@ -23,7 +23,7 @@ from scipy.linalg.lapack import dgesv
 
 from excitant.exceptions import BadInput, ExcitantError
 from excitant.robots.effects.base import Effect, Stepper, turning_speed
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion, Noun
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
 
@@ -59,7 +59,7 @@ class Diverged(ExcitantError):
 
 
 @dataclass(frozen=True, eq=False)
-class StateTorque:
+class StateTorque(Noun):
     """Torque of a robot's effects in a state, without terms proportional to acceleration.
 
     Arguments are time [s], positions and velocities, and the accelerations of the step before,
@@ -73,9 +73,6 @@ class StateTorque:
     others: tuple[Torque, ...]  # torque of all other effects
     # effects among these that have a state of their own
     steppers: tuple[Stepper, ...]
-
-    def __post_init__(self) -> None:
-        freeze(self, "viscous", "coulomb", "offset")
 
     def __call__(
         self, t: float, q: Array, dq: Array, ddq: Array

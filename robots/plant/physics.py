@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass, fields, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from excitant.robots.motion import Array, freeze
+from excitant.robots.motion import Array, Noun
 from excitant.robots.plant.sensors import Encoder, Recorder
 
 ROUNDED_SPEED = 1e-12  # rad/s or m/s: a planned velocity is 0 but for rounding
 
 
 @dataclass(frozen=True, eq=False)
-class Drives:
+class Drives(Noun):
     """Friction and rotor inertia at the joints, each of shape (nv,)."""
 
     viscous: Array  # D [N·m·s/rad]
@@ -25,9 +25,6 @@ class Drives:
     stribeck_velocity: Array  # v_s [rad/s]
     rotor: Array  # rotor and gear inertia at the joint side [kg·m²]
     offset: Array  # constant that the torque sensor adds [N·m]
-
-    def __post_init__(self) -> None:
-        freeze(self, *(field.name for field in fields(self)))
 
     def friction(self, dq: Array) -> Array:
         """Torque of sliding friction at some velocities, shape (n, nv) [N·m]; none at rest."""
@@ -144,7 +141,7 @@ class Gear:
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class Truth(Noun):
     """The physics of an arm."""
 
     model: Any  # Pinocchio's, of the rigid bodies; never edited
@@ -158,9 +155,6 @@ class Truth:
     loads: tuple[JointTorque, ...] = ()
     random: tuple[Telegraph, ...] = ()  # drawn for each run
     gears: tuple[Gear, ...] = ()  # one per joint at most
-
-    def __post_init__(self) -> None:
-        freeze(self, "rotors")
 
     @property
     def nv(self) -> int:

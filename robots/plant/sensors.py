@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from excitant.robots.motion import Array, freeze
+from excitant.robots.motion import Array, Noun
 
 
 @dataclass(frozen=True, eq=False)
-class Sensors:
+class Sensors(Noun):
     """Sensors: noise as standard deviations, resolution as steps, 0 for none."""
 
     rate_hz: float  # sampling rate [Hz]
@@ -20,19 +20,13 @@ class Sensors:
     torque_noise: Array  # of each torque, shape (nv,) [N·m]
     torque_resolution: Array  # step of each torque, shape (nv,) [N·m]
 
-    def __post_init__(self) -> None:
-        freeze(self, "torque_noise", "torque_resolution")
-
 
 @dataclass(frozen=True, eq=False)
-class Encoder:
+class Encoder(Noun):
     """Reading of the encoders, in the loop and in the record: s q + o, each of shape (nv,)."""
 
     scale: Array
     offset: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "scale", "offset")
 
     def reading(self, q: Array, dq: Array) -> tuple[Array, Array]:
         """Position and velocity as read."""
@@ -44,14 +38,11 @@ class Encoder:
 
 
 @dataclass(frozen=True, eq=False)
-class Recorder:
+class Recorder(Noun):
     """Systematic errors of the recorded channels."""
 
     gain: Array  # recorded torque per torque of each joint, cross-talk off the diagonal, (nv, nv)
     delay: Array  # of each torque; negative where position and velocity are late, (nv,) [s]
-
-    def __post_init__(self) -> None:
-        freeze(self, "gain", "delay")
 
 
 @dataclass(frozen=True, eq=False)
