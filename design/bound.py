@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from excitant.design.feasible import random_trajectory
+from excitant.design.feasible import random_start
 from excitant.design.relaxation import Multipliers, Relaxation, numbered, relaxation
+from excitant.design.trajectory import FourierSeries, resting_series
 from excitant.exceptions import BadInput
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
@@ -124,17 +125,12 @@ def lower_bound(
         UnknownName: Other columns.
     """
     began = time.time()
-    if not (np.isfinite(period) and period > 0):
-        raise BadInput(f"period {period} s is not a positive number")
-    if harmonics < 2:
-        raise BadInput(
-            f"{harmonics} harmonics cannot be at rest at both ends; use at least 2"
-        )
+    series = resting_series(period, harmonics)
     if not time_limit > 0:
         raise BadInput(f"time limit {time_limit} s is not positive")
     problem = relaxation(robot, columns, 2 * np.pi * harmonics / period)
     rng = np.random.default_rng(seed)
-    found = _seeds(robot, rng, period, harmonics, pool)
+    found = _seeds(robot, rng, series, pool)
     states = found
     bound = 0.0
     longest = 0.0
@@ -224,13 +220,12 @@ def bound_of(
 def _seeds(
     robot: Robot,
     rng: np.random.Generator,
-    period: float,
-    harmonics: int,
+    series: FourierSeries,
     pool: Sequence[Motion],
 ) -> Motion:
-    t = (np.arange(PRICING.seed_states) + 0.5) / PRICING.seed_states * period
+    share = (np.arange(PRICING.seed_states) + 0.5) / PRICING.seed_states
     motions = [
-        random_trajectory(robot, rng, period, harmonics).at(t)
+        random_start(robot, rng, series).at(share * series.period)
         for _ in range(PRICING.seed_motions)
     ]
     for motion in pool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from excitant.design.constraints import kinematic_limits, pose_use, position_range
-from excitant.design.trajectory import FourierSeries, Trajectory
+from excitant.design.trajectory import FourierSeries, Trajectory, resting_series
 from excitant.exceptions import Infeasible
 from excitant.robots.geometry import Scene
 from excitant.robots.motion import Array, Motion
@@ -45,13 +45,13 @@ def random_trajectory(
 ) -> Trajectory:
     """A random Fourier series at rest at both ends and within all limits of the robot.
 
-    The duration is its period [s]; harmonics are at least 2.
+    The duration is its period [s].
 
     Raises:
+        BadInput: The duration is not positive, or there are fewer than 2 harmonics.
         Infeasible: No pose, or no motion found, within position and torque limits.
     """
-    series = FourierSeries(duration, harmonics)
-    return random_start(robot, rng, series)
+    return random_start(robot, rng, resting_series(duration, harmonics))
 
 
 def random_start(

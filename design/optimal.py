@@ -28,7 +28,7 @@ from excitant.design.search import (
     best_solutions,
     search,
 )
-from excitant.design.trajectory import FourierSeries, Trajectory
+from excitant.design.trajectory import Trajectory, resting_series
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.processes import connect, processors
 from excitant.robots.geometry import CLEARANCE, Scene, usual_scene
@@ -86,10 +86,10 @@ def build_design(
         raise UnknownName("criterion", asked.criterion, CRITERIA)
     if not np.isfinite(clearance) or clearance < 0:
         raise BadInput(f"clearance {clearance} m is not a distance")
-    begun = _series(
+    begun = resting_series(
         asked.duration,
-        1 if asked.periods == "search" else asked.periods,
         FEWEST_HARMONICS if asked.harmonics == "search" else asked.harmonics,
+        1 if asked.periods == "search" else asked.periods,
     )
     seen = information(
         robot, asked.columns, noise=noise, earlier=after, duration=asked.duration
@@ -98,18 +98,6 @@ def build_design(
     return DesignProblem(
         seen, asked.criterion, begun, around, clearance + CLEARANCE_MARGIN
     )
-
-
-def _series(duration: float, periods: int, harmonics: int) -> FourierSeries:
-    if not (np.isfinite(duration) and duration > 0):
-        raise BadInput(f"duration {duration} s is not a positive number")
-    if periods < 1:
-        raise BadInput(f"{periods} periods: at least one is needed")
-    if harmonics < 2:
-        raise BadInput(
-            f"{harmonics} harmonics cannot move and be at rest at both ends; use at least 2"
-        )
-    return FourierSeries(float(duration), harmonics).split(periods)
 
 
 @on_one_thread

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from excitant.exceptions import BadInput
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.shown import Shown, Table
 
@@ -129,6 +130,25 @@ class FourierSeries:
         with np.errstate(divide="ignore"):
             each = [b / peak[:, None] for b, peak in zip(bound, peaks, strict=True)]
         return np.min(each, axis=0)
+
+
+def resting_series(
+    duration: float, harmonics: int, periods: int = 1
+) -> FourierSeries:
+    """Functions that motions at rest at both ends are made of, in periods of a duration [s].
+
+    Raises:
+        BadInput: The duration is not positive, or too few periods or harmonics.
+    """
+    if not (np.isfinite(duration) and duration > 0):
+        raise BadInput(f"duration {duration} s is not a positive number")
+    if periods < 1:
+        raise BadInput(f"{periods} periods: at least one is needed")
+    if harmonics < 2:
+        raise BadInput(
+            f"{harmonics} harmonics cannot move and be at rest at both ends; use at least 2"
+        )
+    return FourierSeries(float(duration), harmonics).split(periods)
 
 
 class _Curve(ABC):
