@@ -12,13 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from excitant.design.constraints import SCALE, pose_use
 from excitant.design.criterion import speed_scale
 from excitant.design.problem import DesignProblem
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Motion
+from excitant.robots.motion import Array, Indices, Motion
 from excitant.robots.regressor import torque_derivatives as rigid_derivatives
 from excitant.robots.robot import Robot
 from excitant.robots.torque import largest_torque, link_torques, torque
@@ -29,9 +28,8 @@ _STEP = 1e-6
 _SLOW = 0.05  # of the speed scale, below which a joint almost turns
 _STILL = 1e-6  # acceleration, as a share of the largest, below which a turn stays where it is
 
-Joints = npt.NDArray[np.intp]
 # instants, joints, sides and weights, each (k,)
-Candidates = tuple[Array, Joints, Array, Array]
+Candidates = tuple[Array, Indices, Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +37,7 @@ class TorquePeaks:
     """Instants at which one joint's torque is locally largest."""
 
     t: Array  # instants, shape (k,) [s]
-    joint: Joints
+    joint: Indices
     side: Array  # 0, or the sign of velocity where the joint turns back
     weight: Array  # 1, but less where the joint only almost turns
     use: Array  # weighted magnitude over the torque bound
@@ -158,7 +156,7 @@ def _slow_speed(robot: Robot) -> Array:
 
 
 def _polished(
-    problem: DesignProblem, z: Array, t: Array, joint: Joints, order: int
+    problem: DesignProblem, z: Array, t: Array, joint: Indices, order: int
 ) -> Array:
     """Instants moved by Newton's method to zeros of a derivative, less than a grid step."""
     spacing = problem.period / len(problem.instants)
@@ -170,7 +168,7 @@ def _polished(
 
 
 def _own(
-    problem: DesignProblem, z: Array, t: Array, joint: Joints, order: int
+    problem: DesignProblem, z: Array, t: Array, joint: Indices, order: int
 ) -> Array:
     return np.einsum("kd,kd->k", problem.basis(t, order), z[:, joint].T)
 
@@ -214,7 +212,7 @@ def _delay(peaks: TorquePeaks, motion: Motion, rate: Array) -> Array:
 
 
 def torque_derivatives(
-    robot: Robot, motion: Motion, joint: Joints
+    robot: Robot, motion: Motion, joint: Indices
 ) -> tuple[Array, Array, Array, Array]:
     """Largest torque, shape (n, nv), and its derivatives by q, q̇, q̈, (n, nv, nv), torque first.
 
@@ -231,7 +229,7 @@ def torque_derivatives(
     return largest_torque(robot, motion), D[0], D[1], D[2]
 
 
-def _worst_bodies(robot: Robot, motion: Motion, joint: Joints) -> list[Robot]:
+def _worst_bodies(robot: Robot, motion: Motion, joint: Indices) -> list[Robot]:
     """The arm with the masses that make ``joint[k]``'s torque at instant k largest."""
     k = np.arange(len(motion))
     total = torque(robot, motion)[k, joint]

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from excitant.design.constraints import kinematic_limits
 from excitant.design.criterion import Information
 from excitant.design.feasible import random_start
 from excitant.design.trajectory import FourierSeries, Trajectory
 from excitant.robots.geometry import Scene
-from excitant.robots.motion import Array, Motion
+from excitant.robots.motion import Array, Indices, Motion
 from excitant.robots.robot import Robot
 
 # share of every limit kept free, above what the exchange leaves violated
@@ -129,7 +128,7 @@ class DesignProblem:
 
     def kinematic_peaks(
         self, z: Array, order: int, share: float
-    ) -> tuple[Array, npt.NDArray[np.intp]]:
+    ) -> tuple[Array, Indices]:
         """Instants [s] and joints of extrema beyond a share of the bound, by one Newton step."""
         value, slope, curve = (
             basis @ z for basis in self.grid_bases[order : order + 3]

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from excitant.design.constraints import position_range
 from excitant.design.criterion import Information, information
 from excitant.exceptions import BadInput
-from excitant.robots.motion import Array, Motion
+from excitant.robots.motion import Array, Indices, Mask, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
 
@@ -147,8 +146,8 @@ class TestFunctions:
     """
 
     # joints j that turn and that slide, of those on whose position the torque depends
-    turning: npt.NDArray[np.intp]
-    sliding: npt.NDArray[np.intp]
+    turning: Indices
+    sliding: Indices
     scale: Array | float = 1.0  # that divides them
 
     def rates(self, motion: Motion) -> Array:
@@ -212,7 +211,7 @@ class Relaxation:
 
     information: Information  # what is to be made visible
     space: StateSpace  # the feasible states
-    odd: npt.NDArray[np.bool_]  # whether each base column is odd in q̇, shape (r,)
+    odd: Mask  # whether each base column is odd in q̇, shape (r,)
     tests: TestFunctions  # test functions, scaled
     unit: float  # typical tr M of a state
 

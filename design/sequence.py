@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from excitant.design.constraints import check, position_range
 from excitant.design.criterion import Information
@@ -35,7 +34,7 @@ from excitant.robots.base_parameters import last_rows
 from excitant.robots.geometry import CLEARANCE, Scene
 from excitant.robots.geometry import scene as scene_of
 from excitant.robots.loading import hold
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array, Mask, read_only
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 
@@ -248,9 +247,7 @@ def _problem(
     return replace(problem, information=_of_link(seen, joint, last == joint))
 
 
-def _of_link(
-    information: Information, joint: int, chosen: npt.NDArray[np.bool_]
-) -> Information:
+def _of_link(information: Information, joint: int, chosen: Mask) -> Information:
     """Information of row τ_i alone on some of the base parameters."""
     robot = information.robot
     base = information.base

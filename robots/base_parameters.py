@@ -17,10 +17,9 @@ from fractions import Fraction
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Motion, read_only
+from excitant.robots.motion import Array, Indices, Mask, Motion, read_only
 from excitant.robots.parameters import moved_parameters
 from excitant.robots.robot import Robot, spans
 from excitant.robots.torque import column_names, observation_columns
@@ -151,7 +150,7 @@ def observe(
     robot: Robot,
     effects: Sequence[Effect],
     motion: Motion,
-    rows: npt.NDArray[np.bool_] | None = None,
+    rows: Mask | None = None,
     frames: Array | None = None,
 ) -> Observation:
     """Columns of all parameters over states, in units of the arm, ready for `regroup`.
@@ -258,9 +257,7 @@ def categories(base: BaseParameters) -> tuple[str, ...]:
     return categories_of(base.regrouping != 0, base.columns)
 
 
-def categories_of(
-    present: npt.NDArray[np.bool_], leading: Sequence[int]
-) -> tuple[str, ...]:
+def categories_of(present: Mask, leading: Sequence[int]) -> tuple[str, ...]:
     """Categories by which coefficients of B, shape (r, p), are not zero."""
     categories = np.where(present.any(axis=0), "combined", "unidentifiable")
     alone = present.sum(axis=1) == 1
@@ -270,7 +267,7 @@ def categories_of(
 
 def last_rows(
     robot: Robot, effects: Sequence[Effect], base: BaseParameters
-) -> npt.NDArray[np.intp]:
+) -> Indices:
     """The last joint whose torque contains each base parameter, shape (r,).
 
     By Property 4 of Khosla (1987) no torque of a joint contains links before it. A base parameter

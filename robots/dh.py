@@ -46,7 +46,7 @@ import pinocchio as pin
 from excitant.exceptions import BadRobot
 from excitant.robots.angles import Angles
 from excitant.robots.limits import Limits
-from excitant.robots.motion import Array, Noun
+from excitant.robots.motion import Array, Mask, Noun
 from excitant.robots.parameters import elements, moved_parameters, steiner
 from excitant.robots.robot import Robot
 from excitant.robots.schema import (
@@ -93,7 +93,7 @@ class DHChain(Noun):
     convention: Convention
     joints: tuple[str, ...]
     links: tuple[str, ...]
-    revolute: npt.NDArray[np.bool_]
+    revolute: Mask
     a: Array
     d: Array
     alpha: Array

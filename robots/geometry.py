@@ -10,12 +10,11 @@ from typing import Any
 import coal
 import msgspec
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.exceptions import BadRobot
 from excitant.names import listed
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, Indices
 from excitant.robots.robot import Robot, spans
 from excitant.robots.schema import HalfSpaceRecord
 
@@ -164,7 +163,7 @@ class Scene:
             distances[k] = [result.min_distance for result in results]
         return distances * self.scale
 
-    def nearest(self, q: Array) -> tuple[npt.NDArray[np.intp], Array, Array]:
+    def nearest(self, q: Array) -> tuple[Indices, Array, Array]:
         """At every pose the pair whose distance counts least.
 
         Returns:

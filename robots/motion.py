@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
 
 
 def read_only(values: npt.ArrayLike) -> Array:
@@ -89,8 +91,6 @@ class Motion:
         span = float(np.ptp(self.t)) if len(self) else 0.0
         return f"Motion of {self.nv} joints: {len(self)} instants over {span:.4g} s"
 
-    def __getitem__(
-        self, rows: slice | npt.NDArray[np.intp] | npt.NDArray[np.bool_]
-    ) -> Motion:
+    def __getitem__(self, rows: slice | Indices | Mask) -> Motion:
         """The motion at some of its instants."""
         return Motion(self.t[rows], self.q[rows], self.dq[rows], self.ddq[rows])

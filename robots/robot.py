@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from excitant.exceptions import UnknownName
 from excitant.robots.limits import Limits
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array, Mask, read_only
 from excitant.robots.parameters import STANDARD, BaseEstimate, inertia
 from excitant.robots.shown import Shown, Table
 
@@ -71,7 +71,7 @@ class Robot(Shown):
     name: str
     model: Any
     links: tuple[str, ...]
-    revolute: npt.NDArray[np.bool_]
+    revolute: Mask
     limits: Limits
     description: str
     format: Format

@@ -16,14 +16,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 import scipy
 from scipy.linalg.lapack import dgesv
 
 from excitant.exceptions import BadInput, ExcitantError
 from excitant.robots.effects.base import Effect, Stepper, turning_speed
-from excitant.robots.motion import Array, Motion, Noun
+from excitant.robots.motion import Array, Indices, Motion, Noun
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
 
@@ -157,7 +156,7 @@ def _inertia(robot: Robot, effect: Effect) -> Array:
     natural = np.arange(PROBES)
     q, dq, _ = robot.random_motion(rng, PROBES)
 
-    def probed(ddq: Array, order: npt.NDArray[np.intp] = natural) -> Array:
+    def probed(ddq: Array, order: Indices = natural) -> Array:
         """Torque in the probed states, whose times are in some order."""
         accelerations = np.tile(ddq, (PROBES, 1))
         t = 0.01 * np.asarray(order, float)
@@ -242,7 +241,7 @@ def _check(robot: Robot, command: Motion) -> None:
         raise BadInput("simulation: time of the motion must rise")
 
 
-def _steps(command: Motion) -> npt.NDArray[np.intp]:
+def _steps(command: Motion) -> Indices:
     """Steps between each two instants, more where a joint turns back: dry friction jumps there."""
     dt = np.diff(command.t)
     counts = np.maximum(1, np.ceil(dt / STEP - 1e-9)).astype(np.intp)
@@ -255,7 +254,7 @@ def _steps(command: Motion) -> npt.NDArray[np.intp]:
     return np.where(near, counts * int(finer), counts)
 
 
-def _between(motion: Motion, counts: npt.NDArray[np.intp]) -> Motion:
+def _between(motion: Motion, counts: Indices) -> Motion:
     """The motion with each of its steps divided into as many as counted."""
     if (counts == 1).all():
         return motion

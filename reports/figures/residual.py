@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from excitant.identify.signals import power_density
 from excitant.reports import values as v
@@ -29,7 +28,7 @@ from excitant.reports.figure import (
 )
 from excitant.reports.values import Series
 from excitant.results import Finding, IdentifiedJoint, Identify
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, Indices
 
 _CLOUD = 1000  # points drawn of a cloud
 _MEDIANS = 24  # bins of a cloud, whose medians are drawn
@@ -75,9 +74,7 @@ def _medians(
     if upper <= lower:
         lower = x[0]
         upper = x[-1]
-    edges: npt.NDArray[np.intp] = np.searchsorted(
-        x, np.linspace(lower, upper, bins + 1)
-    )
+    edges: Indices = np.searchsorted(x, np.linspace(lower, upper, bins + 1))
     least = max(3, len(x) // (40 * bins)) if fewest is None else fewest
     pairs = [
         (np.median(x[first:last]), np.median(y[first:last]))
