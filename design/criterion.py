@@ -107,8 +107,7 @@ def information(
         UnknownName: Columns other than ``"friction"`` and ``"inertial"``.
         BadInput: Noise that is not one positive number per joint, or motions of other joints.
     """
-    if columns not in COLUMNS:
-        raise UnknownName("columns", columns, COLUMNS)
+    UnknownName.refuse("columns", [columns], COLUMNS)
     sigma = np.ones(robot.nv) if noise is None else np.asarray(noise, float)
     if sigma.shape != (robot.nv,) or not (
         np.isfinite(sigma).all() and (sigma > 0).all()

@@ -82,8 +82,7 @@ def build_design(
     if not robot.phi[::10].any():
         why = "no link has a mass, so no torque is known; add <inertial> elements"
         raise BadRobot(robot.source or robot.name, why)
-    if asked.criterion not in CRITERIA:
-        raise UnknownName("criterion", asked.criterion, CRITERIA)
+    UnknownName.refuse("criterion", [asked.criterion], CRITERIA)
     if not np.isfinite(clearance) or clearance < 0:
         raise BadInput(f"clearance {clearance} m is not a distance")
     begun = resting_series(

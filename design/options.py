@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+Columns = Literal["friction", "inertial"]
+"""What a motion is to make visible: all that identify estimates, or the links only."""
+
 
 @dataclass(frozen=True)
 class Search:
@@ -23,7 +26,7 @@ class Search:
         "What to make small: the condition number, or of the covariance the determinant (d), the "
         "trace (a) or the largest eigenvalue (e)."
     )
-    columns: Literal["friction", "inertial"] = "friction"
+    columns: Columns = "friction"
     "What to make visible: all that identify estimates, or the links only."
     use: float = 0.9
     "Share of the limits on velocity, acceleration, torque and jerk that is used."

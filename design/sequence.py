@@ -16,7 +16,6 @@ import numpy as np
 
 from excitant.design.constraints import check, position_range
 from excitant.design.criterion import Information
-from excitant.design.export import trajectory_csv, trajectory_json
 from excitant.design.optimal import (
     CANDIDATES,
     SceneOption,
@@ -149,15 +148,11 @@ class LinkByLinkDesign:
 
     def files(self, rate_hz: float, repetitions: int = 1) -> dict[str, str | bytes]:
         """``link<i>.csv`` and ``link<i>.json`` of every motion, the last link's first."""
-        files: dict[str, str | bytes] = {}
-        for joint, design in self.motions.items():
-            files[f"{_stem(joint)}.csv"] = trajectory_csv(
-                design.trajectory, rate_hz, repetitions
-            )
-            files[f"{_stem(joint)}.json"] = trajectory_json(
-                design.trajectory, self.robot
-            )
-        return files
+        return {
+            name.replace("trajectory", _stem(joint)): text
+            for joint, design in self.motions.items()
+            for name, text in design.files(rate_hz, repetitions).items()
+        }
 
 
 def _stem(joint: int) -> str:

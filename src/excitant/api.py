@@ -15,7 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant import analysis, design, identify
+from excitant.design.options import Columns
 from excitant.exceptions import BadInput, RankDeficient, UnknownName
+from excitant.progress import Advance
 from excitant.robots import Motion, Robot, geometry, load_limits, load_robot
 from excitant.robots.effects import EFFECTS, Acts, Effect
 from excitant.robots.obstacles_file import load_obstacles
@@ -62,9 +64,6 @@ TrajectoryLike: TypeAlias = "Trajectory | Motion | str | Path"
 """A trajectory, samples of one, or a file of either."""
 EffectsLike: TypeAlias = "Sequence[Effect | str] | None"
 """Effects or their names; friction, offset and rotor inertia when None."""
-Columns: TypeAlias = Literal["friction", "inertial"]
-Told: TypeAlias = Callable[[float, str], None]
-"""Called with the share of the work that is done, and what is next."""
 
 SAMPLE_HZ = 100.0  # of a trajectory that has no samples of its own
 TOLERANCE = 0.03  # relative, of what a virtual arm hides beside its effect
@@ -407,7 +406,7 @@ def identify_robot(
     estimator: str | None = None,
     trajectory: Trajectory | str | Path | None = None,
     knowledge: Knowledge | str | Path | None = None,
-    progress: Told = lambda share, words: None,
+    progress: Advance = lambda share, words: None,
 ) -> Estimate:
     """Identify a physically consistent model from recordings.
 
@@ -647,7 +646,7 @@ def go(
     validate: Recordings = (),
     cutoff: float | None = None,
     repair: bool = False,
-    progress: Told = lambda share, words: None,
+    progress: Advance = lambda share, words: None,
 ) -> Examination:
     """All that recordings say of a model, with one verdict.
 
@@ -685,7 +684,7 @@ def rehearse(
     *,
     seed: int = 0,
     surroundings: Surroundings = Surroundings(),
-    progress: Told | None = None,
+    progress: Advance | None = None,
 ) -> Rehearsal:
     """A motion tried on a virtual arm, up to what it recovers; from rest to rest.
 

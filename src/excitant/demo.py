@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from excitant.analysis.examination import examine
-from excitant.design.export import trajectory_csv, trajectory_json
 from excitant.design.feasible import random_trajectory
 from excitant.design.optimal import design_trajectory
 from excitant.identify.reading.logs import recording_from_table
@@ -70,8 +69,7 @@ def run_demo(
         f"design/{key}": a for key, a in design.series().items()
     }
     files: dict[str, str | bytes] = {
-        "trajectory.csv": trajectory_csv(design.trajectory),
-        "trajectory.json": trajectory_json(design.trajectory, robot),
+        **design.files(),
         "excitation.parquet": table_bytes(excitation, ".parquet"),
         "holdout.parquet": table_bytes(holdout, ".parquet"),
         **examined.files,

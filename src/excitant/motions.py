@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import excitant as ex
-from excitant.design.options import Search
+from excitant.design.options import Columns, Search
 from excitant.exceptions import BadInput
 from excitant.files import write_file
 from excitant.names import printable
 from excitant.options import (
     Around,
-    Columns,
     Files,
     Names,
     Numbers,

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from os.path import isdir, isfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
@@ -70,7 +70,6 @@ Names = Annotated[list[str] | None, _comma(_words)]
 Numbers = Annotated[list[float] | None, _comma(_numbers)]
 Files = Annotated[list[str] | None, Parameter(consume_multiple=True)]
 Seed = Annotated[int, Parameter(validator=Number(gte=0))]
-Columns = Literal["friction", "inertial"]
 Around = Annotated[Surroundings, Parameter(name="*")]
 
 

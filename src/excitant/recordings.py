@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 import excitant as ex
+from excitant.design.options import Columns
 from excitant.exceptions import BadInput, UnknownName
 from excitant.options import (
-    Columns,
     Data,
     Effects,
     Files,
