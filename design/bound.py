@@ -11,10 +11,10 @@ import numpy as np
 import scipy
 
 from excitant.design.feasible import random_start
-from excitant.design.relaxation import Multipliers, Relaxation, numbered, relaxation
+from excitant.design.relaxation import Multipliers, Relaxation, relaxation
 from excitant.design.trajectory import FourierSeries, resting_series
 from excitant.exceptions import BadInput
-from excitant.robots.motion import Array, Motion
+from excitant.robots.motion import Array, Motion, numbered
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 

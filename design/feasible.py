@@ -10,7 +10,7 @@ from excitant.design.constraints import kinematic_limits, pose_use, position_ran
 from excitant.design.trajectory import FourierSeries, Trajectory, resting_series
 from excitant.exceptions import Infeasible
 from excitant.robots.geometry import Scene
-from excitant.robots.motion import Array, Motion
+from excitant.robots.motion import Array, Motion, numbered
 from excitant.robots.robot import Robot
 from excitant.robots.torque import largest_torque
 
@@ -157,7 +157,7 @@ def _standstill(
         )
         poses = np.clip(poses, middle - half, middle + half)
         zero = np.zeros_like(poses)
-        held = Motion(np.arange(len(poses), dtype=float), poses, zero, zero)
+        held = numbered(poses, zero, zero)
         uses = np.abs(largest_torque(robot, held)) / robot.limits.torque
         near = pose_use(scene, required, poses)
         worst = np.maximum(uses.max(axis=1), near)

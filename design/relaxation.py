@@ -9,7 +9,7 @@ import numpy as np
 from excitant.design.constraints import position_range
 from excitant.design.criterion import Information, information
 from excitant.exceptions import BadInput
-from excitant.robots.motion import Array, Indices, Mask, Motion
+from excitant.robots.motion import Array, Indices, Mask, Motion, numbered
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
 
@@ -98,11 +98,6 @@ class StateSpace:
 
     def _accelerations(self, dq: Array) -> Array:
         return _arc(dq / self.speed, self.top * self.speed, self.acceleration)
-
-
-def numbered(q: Array, dq: Array, ddq: Array) -> Motion:
-    """States that follow no time."""
-    return Motion(np.arange(len(q), dtype=float), q, dq, ddq)
 
 
 def _stretched(motion: Motion, share: Array) -> Motion:

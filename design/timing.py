@@ -13,7 +13,7 @@ import scipy
 from excitant.design.constraints import check
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots.geometry import Scene
-from excitant.robots.motion import Array, Motion, read_only
+from excitant.robots.motion import Array, Motion, numbered, read_only
 from excitant.robots.robot import Robot
 from excitant.robots.torque import largest_torque, torque
 
@@ -283,7 +283,7 @@ def _creeping(q: Array, direction: Array) -> Motion:
     creep = (
         1e-6 * direction / max(float(np.abs(direction).max(initial=0.0)), 1e-300)
     )
-    return Motion(np.arange(float(len(q))), q, creep, np.zeros_like(q))
+    return numbered(q, creep, np.zeros_like(q))
 
 
 def _lengths(waypoints: Array) -> Array:

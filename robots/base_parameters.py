@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Indices, Mask, Motion, read_only
+from excitant.robots.motion import Array, Indices, Mask, Motion, numbered, read_only
 from excitant.robots.parameters import moved_parameters
 from excitant.robots.robot import Robot, spans
 from excitant.robots.torque import column_names, observation_columns
@@ -142,8 +142,7 @@ def structural_motion(robot: Robot, rng: np.random.Generator) -> Motion:
     bound = np.array(robot.random_motion(rng, _HALF))
     slow = rng.uniform(_SLOWEST, 0, _HALF) * (np.arange(_HALF) % 2)
     bound[1] *= 10.0 ** slow[:, None]
-    states = np.concatenate([free, bound], axis=1)
-    return Motion(np.arange(2.0 * _HALF), *states)
+    return numbered(*np.concatenate([free, bound], axis=1))
 
 
 def observe(
@@ -275,8 +274,8 @@ def last_rows(
     torque of joint i can show of it, once the links further out are known, are the base
     parameters whose last row is i.
     """
-    q, dq, ddq = robot.random_motion(np.random.default_rng(1), 100)
-    W = observation_columns(robot, effects, Motion(np.arange(100.0), q, dq, ddq))
+    states = robot.random_motion(np.random.default_rng(1), 100)
+    W = observation_columns(robot, effects, numbered(*states))
     size = np.abs(W[:, :, list(base.columns)]).max(axis=0)
     present = size > _PRESENT * size.max(axis=0)
     return robot.nv - 1 - np.argmax(present[::-1], axis=0)

@@ -22,7 +22,7 @@ from excitant.robots.appearance import Appearance
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.geometry import Body, zero_pose
 from excitant.robots.limits import endless_ranges
-from excitant.robots.motion import Array, Motion
+from excitant.robots.motion import Array, numbered
 from excitant.robots.parameters import PLACEHOLDER, elements, violations
 from excitant.robots.regressor import rigid_body_torque
 from excitant.robots.robot import Robot, spans
@@ -512,7 +512,7 @@ def _moves_nothing(robot: Robot, body: Body, moment: Array) -> bool:
     phi = robot.phi.copy()
     phi[10 * k + 4 : 10 * k + 10] -= elements(np.trace(moment) * np.eye(3) - moment)
     states = robot.random_motion(np.random.default_rng(0), 5)
-    motion = Motion(np.arange(5.0), *states)
+    motion = numbered(*states)
     before = rigid_body_torque(robot, motion)
     change = rigid_body_torque(robot.with_parameters(phi), motion) - before
     largest = _SLIGHT * np.abs(before).max(axis=0)

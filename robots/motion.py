@@ -94,3 +94,8 @@ class Motion:
     def __getitem__(self, rows: slice | Indices | Mask) -> Motion:
         """The motion at some of its instants."""
         return Motion(self.t[rows], self.q[rows], self.dq[rows], self.ddq[rows])
+
+
+def numbered(q: Array, dq: Array, ddq: Array) -> Motion:
+    """States that follow no time, each of shape (n, nv)."""
+    return Motion(np.arange(len(q), dtype=float), q, dq, ddq)
