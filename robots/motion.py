@@ -46,7 +46,9 @@ class Noun:
     """A frozen dataclass whose fields declared as ``Array`` are copies that refuse writing."""
 
     def __post_init__(self) -> None:
-        arrays = (field.name for field in fields(self) if field.type == "Array")
+        arrays = (
+            field.name for field in fields(self) if field.type in ("Array", Array)
+        )
         freeze(self, *arrays)
 
 

@@ -127,13 +127,9 @@ def _apart(row: Difference) -> str:
     )
 
 
-def _monthly(row: Drift) -> tuple[float, float]:
-    """Slope a month, and its standard deviation."""
-    return row.per_year / _MONTHS, row.std / _MONTHS
-
-
 def _changes(row: Drift) -> str:
-    slope, std = _monthly(row)
+    slope = row.per_year / _MONTHS
+    std = row.std / _MONTHS
     way = "falls" if slope < 0 else "rises"
     return (
         f"{row.arm}: {row.parameter} {way} by {_interval(abs(slope), std).text} {row.unit} a "
