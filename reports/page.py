@@ -219,9 +219,13 @@ def table(
     caption: str = "",
     folded: str = "",
     *,
+    long: str = "",
+    most: int = LONG,
     brief: str | None = None,
 ) -> Table | None:
     """A table of records, one a row; None without any.
+
+    One of more rows than ``most`` is folded behind the line ``long``, in which ``{}`` counts them.
 
     A column is its heading as ``kind:heading``, then where its cells come from: a field, dots for
     one of a field, or a function of the record that gives a value or a cell; a third item writes
@@ -235,6 +239,8 @@ def table(
         for column in present
     ]
     cells = [[_cell(row, *column) for column in present] for row in rows]
+    if len(rows) > most:
+        folded = folded or long.format(len(rows))
     return Table(heads, cells, caption, folded, brief)
 
 
@@ -302,11 +308,6 @@ def quality(rel_std: float | None) -> str:
     if rel_std is None:
         return PLAIN
     return GOOD if abs(rel_std) < 0.05 else FAIR if abs(rel_std) < 0.3 else POOR
-
-
-def folded(title: str, count: int, most: int = LONG) -> str:
-    """A line to fold a long table behind; empty for a short one."""
-    return title if count > most else ""
 
 
 def fact(

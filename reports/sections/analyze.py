@@ -202,7 +202,7 @@ def _singular(result: Analyze) -> p.Table | None:
         "Of the columns of all parameters over random states, in units of the arm. A parameter is "
         "identifiable by itself where it is orthogonal to all vectors of singular value zero, and "
         "unidentifiable where it is one of them.",
-        p.folded(f"All {len(rows)} singular values", len(rows)),
+        long="All {} singular values",
     )
 
 
@@ -217,9 +217,8 @@ def _motion(result: Analyze, series: Series) -> p.Blocks:
         "These base parameters make no torque of their own in this motion: they keep their prior "
         f"values{f'; at rest: {v.listing(resting)}' if resting else ''}.",
     )
-    rows = result.practical
     practical = p.table(
-        rows,
+        result.practical,
         [
             ("expression:Base parameter", "name"),
             *p.estimates("number:Value (SI)", "number:± std (SI)"),
@@ -228,7 +227,7 @@ def _motion(result: Analyze, series: Series) -> p.Blocks:
         ],
         "How precisely this motion determines each base parameter. Relative standard deviation: "
         "● below 5\u00a0%, ◐ below 30\u00a0%, ○ above.",
-        p.folded(f"All {len(rows)} base parameters", len(rows)),
+        long="All {} base parameters",
     )
     figure = spectrum_figure(series)
     return [
@@ -275,7 +274,6 @@ def _link(result: Analyze, link: LinkIdentifiability, place: str) -> p.Blocks:
         "Found by adding each experiment's rows and looking at rank and standard deviation again.",
     )
     practical = {row.name: row for row in result.practical}
-    combined = link.combined
 
     def estimate(row: Combined) -> Practical | None:
         return practical.get(row.expression)
@@ -285,13 +283,14 @@ def _link(result: Analyze, link: LinkIdentifiability, place: str) -> p.Blocks:
         ("text:Determined", lambda r: _determined(estimate(r))),
     )
     combinations = p.table(
-        combined,
+        link.combined,
         [
             ("expression:Identifiable combination", "expression"),
             *(determined if practical else ()),
         ],
         "Torque depends on these sums alone, not on how they divide among their members.",
-        p.folded(f"Its {len(combined)} combinations", len(combined), 1),
+        long="Its {} combinations",
+        most=1,
     )
     return [
         p.notes([summary]),

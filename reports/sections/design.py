@@ -394,7 +394,7 @@ def _starts(result: Design) -> p.Table | None:
         ],
         "The best first: several that end at the same value suggest that a much better motion does "
         "not exist.",
-        p.folded(f"All {len(rows)} starts", len(rows)),
+        long="All {} starts",
     )
 
 

@@ -240,7 +240,7 @@ def _corrected(rows: list[FoundParameter]) -> p.Table | None:
         ],
         "Within the tolerance of given values, so that they are no findings, yet further off than "
         "comes by chance; the extended model has the corrected ones.",
-        p.folded(f"All {len(rows)} values", len(rows)),
+        long="All {} values",
     )
 
 
@@ -346,7 +346,7 @@ def _parameters(finding: Finding) -> p.Table | None:
         ],
         f"{'Value in the given model, and f' if given else 'F'}itted value with its standard "
         f"deviation{_WITHOUT_STD if fixed else ''}.",
-        p.folded(f"All {len(rows)} fitted parameters", len(rows)),
+        long="All {} fitted parameters",
     )
 
 

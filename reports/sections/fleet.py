@@ -201,5 +201,5 @@ def _sets(sets: list[DataSet]) -> p.Table | None:
             ),
         ],
         "What diagnose says of each; its pages are in the folder arms.",
-        p.folded("What the diagnosis says of each", len(sets)),
+        long="What the diagnosis says of each",
     )

@@ -386,9 +386,8 @@ def _repeats(result: Identify) -> p.Table | None:
 
 
 def _base_parameters(result: Identify) -> p.Table | None:
-    rows = result.base_parameters
     return p.table(
-        rows,
+        result.base_parameters,
         [
             ("name:Link or joint", "link"),
             ("expression:Base parameter", "expression"),
@@ -400,7 +399,7 @@ def _base_parameters(result: Identify) -> p.Table | None:
         "what several recordings say apart, which is that by noise where they agree. Relative "
         "standard deviation: ● below 5\u00a0%, ◐ below 30\u00a0%, ○ above; near zero it is large "
         "by nature.",
-        p.folded(f"All {len(rows)} base parameters", len(rows)),
+        long="All {} base parameters",
     )
 
 
@@ -589,12 +588,12 @@ def _online(result: Identify, series: Series) -> p.Parts:
     online = result.online
     if online is None:
         return []
-    count = len(online.messages)
     messages = p.table(
         online.messages,
         [("number:Time [s]", "t", v.number4), ("text:Message", "text")],
         "What the monitor said while the samples came in; it speaks when something changes.",
-        p.folded(f"All {count} messages of the monitor", count, _MESSAGES),
+        long="All {} messages of the monitor",
+        most=_MESSAGES,
     )
     return [
         ("On-line estimation", [_online_facts(online), messages]),
