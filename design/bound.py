@@ -137,7 +137,6 @@ def lower_bound(
     while True:
         started = time.time()
         weights, multipliers = mixture_of(problem, states)
-        found = found[np.argsort(-problem.price(multipliers, found))]
         worse, price = problem.worst(
             multipliers, found, rng, PRICING.starts, PRICING.steps
         )
@@ -184,7 +183,6 @@ def _largest_violation(
 ) -> float:
     """The violation of multipliers that a longer search finds."""
     for _ in range(PRICING.final_rounds):
-        found = found[np.argsort(-problem.price(multipliers, found))]
         worse, price = problem.worst(
             multipliers, found, rng, PRICING.final_starts, PRICING.final_steps
         )

@@ -237,11 +237,12 @@ class Relaxation:
     ) -> tuple[Motion, Array]:
         """States of highest price and their prices, by some steps of ascent from 2 n starts.
 
-        Half of them are the first of the states ``known``, the best first, the others random.
+        Half of them are the best-priced of the states ``known``, the others random.
         Torque above its limit is penalised on the way, and time stretched in the end until it
         holds.
         """
-        near = self.space.cube(known[:n])
+        best = np.argsort(-self.price(multipliers, known))[:n]
+        near = self.space.cube(known[best])
         u = np.concatenate(
             [near, self._promising(multipliers, near[: n // 2], rng, n)]
         )
