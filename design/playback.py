@@ -18,7 +18,7 @@ from excitant.design.constraints import (
 from excitant.design.trajectory import HermiteTrajectory, Trajectory
 from excitant.robots.appearance import Appearance
 from excitant.robots.geometry import Scene, unchecked
-from excitant.robots.limits import LIMIT_NAMES, TOUCHED, unlimited
+from excitant.robots.limits import TOUCHED, unlimited
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
@@ -105,9 +105,7 @@ class Playback:
         """
         motion = self.frames
         shares = shares_of_limits(self.robot, motion)
-        for k, use in enumerate(
-            getattr(self.limits, name) for name in LIMIT_NAMES[:4]
-        ):
+        for k, use in enumerate(self.limits.uses[:4]):
             # friction jumps where a joint turns
             for j in np.flatnonzero(use.ratios >= TOUCHED):
                 shares[np.searchsorted(motion.t, use.times[j]), k, j] = use.ratios[
