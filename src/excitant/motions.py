@@ -16,6 +16,7 @@ from excitant.exceptions import BadInput
 from excitant.files import write_file
 from excitant.names import printable
 from excitant.options import (
+    OUTPUT,
     Around,
     Files,
     Names,
@@ -225,7 +226,7 @@ def show(
     trajectory: TrajectoryFile,
     /,
     *,
-    output: Annotated[str | None, Parameter(name=("--output", "-o"))] = None,
+    output: Annotated[str | None, OUTPUT] = None,
     json: bool = False,
     surroundings: Around = Surroundings(),
     part: Part = Part(),
@@ -264,7 +265,7 @@ def simulate(
     trajectory: TrajectoryFile,
     /,
     *,
-    output: Annotated[str, Parameter(name=("--output", "-o"))],
+    output: Annotated[str, OUTPUT],
     seed: Seed = 0,
     hidden: bool = False,
     json: bool = False,

@@ -70,6 +70,7 @@ Names = Annotated[list[str] | None, _comma(_words)]
 Numbers = Annotated[list[float] | None, _comma(_numbers)]
 Files = Annotated[list[str] | None, Parameter(consume_multiple=True)]
 Seed = Annotated[int, Parameter(validator=Number(gte=0))]
+OUTPUT = Parameter(name=("--output", "-o"))
 Around = Annotated[Surroundings, Parameter(name="*")]
 
 
@@ -232,7 +233,7 @@ class Readings:
 class Run:
     """Output of results."""
 
-    output: Annotated[str | None, Parameter(name=("--output", "-o"))] = None
+    output: Annotated[str | None, OUTPUT] = None
     "Folder to write into; default: runs/<verb>-<robot>-<time>."
     json: bool = False
     "Print result.json and nothing else."
