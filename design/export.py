@@ -216,9 +216,7 @@ def _require(motion: Motion, robot: Robot) -> None:
         raise BadInput(
             f"motion has {motion.nv} joints, robot {robot.name} has {robot.nv}"
         )
-    if not all(
-        np.isfinite(x).all() for x in (motion.t, motion.q, motion.dq, motion.ddq)
-    ):
+    if not all(np.isfinite(x).all() for x in vars(motion).values()):
         raise BadInput("motion holds a value that is not finite")
     if len(motion) < 2 or np.any(np.diff(motion.t) <= 0):
         raise BadInput("motion needs at least two samples, at times that increase")

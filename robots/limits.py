@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -54,10 +54,9 @@ class Limits:
 
     def of(self, joints: list[int]) -> Limits:
         """Limits of some of the joints, by index."""
-        rows: dict[str, Any] = {
-            name: getattr(self, name)[joints] for name in LIMIT_NAMES
-        }
-        return replace(self, **rows)
+        return replace(
+            self, **{name: getattr(self, name)[joints] for name in LIMIT_NAMES}
+        )
 
     def used(self, share: float) -> Limits:
         """Limits of which velocity, acceleration, torque and jerk are a share of these (of 1)."""
