@@ -127,14 +127,6 @@ def process(
 
 
 @dataclass(frozen=True)
-class _Macro:
-    """A macro: its parameters with their defaults, blocks marked by ``*``, and what it builds."""
-
-    parameters: Mapping[str, _Default]
-    body: Element
-
-
-@dataclass(frozen=True)
 class _Default:
     """Default of a parameter: the caller's property of the same name where ``forward``, or text."""
 
@@ -163,7 +155,7 @@ class _Scope(ChainMap[str, Any]):
             around = around.parent
         return around
 
-    def macro(self, name: str) -> tuple[_Macro, _Scope]:
+    def macro(self, name: str) -> tuple[Element, _Scope]:
         """A macro, and the scope around its own: its namespace, or that of the call."""
         if (macro := self.get(f"xacro:{name}")) is not None:
             return macro, self
@@ -258,8 +250,7 @@ class _Reading:
                 name = _required(element, "name").removeprefix("xacro:")
                 if name == "call" or "." in name:
                     raise self._error(f"a macro cannot be called '{name}'")
-                parameters = dict(_parameters(element.get("params", "")))
-                scope[f"xacro:{name}"] = _Macro(parameters, element)
+                scope[f"xacro:{name}"] = element
             case "insert_block":
                 name = _required(element, "name")
                 if f"**{name}" in scope:
@@ -340,14 +331,15 @@ class _Reading:
         except KeyError:
             raise self._error(f"unknown macro name: xacro:{name}") from None
         inner = _Scope(around)
+        parameters = dict(_parameters(macro.get("params", "")))
         for key, value in element.attrib.items():
-            if key not in macro.parameters:
+            if key not in parameters:
                 raise self._error(f"macro '{name}' has no parameter '{key}'")
             inner[key] = _literal(self.value(value, scope))
         content = Element("blocks")
         self.build_content(element, content, scope)
         blocks = list(content)
-        for key, default in macro.parameters.items():
+        for key, default in parameters.items():
             if key.startswith("*"):
                 if not blocks:
                     raise self._error(f"macro '{name}' needs a block for '{key}'")
@@ -356,7 +348,7 @@ class _Reading:
                 inner[key] = _literal(self._default(name, key, default, scope))
         if blocks:
             raise self._error(f"macro '{name}' has no block for <{blocks[0].tag}>")
-        self.build_content(macro.body, out, inner)
+        self.build_content(macro, out, inner)
 
     def _default(
         self, macro: str, name: str, default: _Default, scope: _Scope
@@ -573,7 +565,10 @@ def _required(element: Element, key: str) -> str:
 
 
 def _parameters(text: str) -> Iterator[tuple[str, _Default]]:
-    """Parameters of a macro: ``name``, ``name:=default``, ``name:=^|default``, ``*block``."""
+    """Parameters of a macro: ``name``, ``name:=default``, ``name:=^|default``, ``*block``.
+
+    Each comes with its default; a block is marked by ``*``.
+    """
     while text := text.lstrip():
         if stated := _MACRO_ARGUMENT.match(text):
             name, forward, default = stated.groups()
