@@ -104,11 +104,9 @@ def serve() -> None:
 
 
 def _limit(**limits: int) -> None:
-    """Lower limits of this process, named as the system does, where the system can."""
-    try:
-        import resource
-    except ImportError:
-        return
+    """Lower limits of this process, named as the system does."""
+    import resource  # which the parent does without
+
     for name, limit in limits.items():
         kind = getattr(resource, f"RLIMIT_{name}")
         _, hard = resource.getrlimit(kind)
