@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -55,7 +55,10 @@ from excitant.exceptions import BadInput, Infeasible, RankDeficient
 from excitant.identify.accuracy import Accuracy, series
 from excitant.identify.attenuation import coarseness, half_segments
 from excitant.identify.drive_gains import DriveGains
-from excitant.identify.least_squares import weighted_least_squares
+from excitant.identify.least_squares import (
+    LeastSquares,
+    weighted_least_squares,
+)
 from excitant.identify.objections import objections
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment
@@ -268,34 +271,21 @@ def diagnose(
         else ()
     )
     logs = fitted(repaired[:count], repaired[count:])
-    rows, turnings = _as_identified(mounted.robot, data)
-    diagnosis = _of_data(mounted, data, rows, turnings, logs, raw)
+    identified = _as_identified(mounted.robot, data)
+    diagnosis = _of_data(mounted, data, identified, logs, raw)
     # what a repair does is judged on the data as they are
-    if raw:
+    if raw or identified.fit is None:
         return diagnosis
-    model, found = _differing(rows)
+    model = identified.model
+    found = differences(model, identified.rows, identified.fit)
     if not found:
         return diagnosis
-    alike = _without(data, found, model, rows.gains)
-    rows, turnings = _as_identified(mounted.robot, alike)
-    again = _of_data(mounted, alike, rows, turnings, logs, raw)
+    alike = _without(data, found, model, identified.rows.gains)
+    identified = _as_identified(mounted.robot, alike)
+    again = _of_data(mounted, alike, identified, logs, raw)
     if again.squares >= LEAVES * diagnosis.squares:
         return diagnosis
     return replace(again, differences=tuple(found))
-
-
-def _differing(rows: FitRows) -> tuple[Robot, list[Difference]]:
-    """The arm as identified, and what recordings have otherwise; nothing where it cannot be."""
-    robot = rows.robot
-    prior = prior_parameters(robot)
-    try:
-        fit = weighted_least_squares(rows.reduced)
-        R, z = rows.regression.factor(fit.weight)
-        physical = fit_physical(R, z, prior, rows.open_prior)
-    except (RankDeficient, Infeasible):
-        return robot, []
-    model = identified_robot(robot, rows.effects, physical.x)
-    return model, differences(model, rows, fit)
 
 
 def _without(
@@ -318,8 +308,7 @@ def _without(
 def _of_data(
     mounted: SetUp,
     data: Data,
-    rows: FitRows,
-    turnings: Sequence[Turning],
+    identified: _Identified,
     logs: Sequence[Recording],
     raw: Sequence[Segment],
 ) -> Diagnosis:
@@ -328,8 +317,7 @@ def _of_data(
     Args:
         mounted: The arm.
         data: Fitted and held-out data.
-        rows: Its identification.
-        turnings: Friction that turns over a range of speeds there.
+        identified: Its identification.
         logs: Recordings of the fit.
         raw: The hold-out without repairs; empty where there are none.
     """
@@ -337,9 +325,10 @@ def _of_data(
     joints = nominal.joints
     prior = prior_parameters(nominal)
     measured = series(data.train).measured
+    turnings = identified.turnings
     reversals = [each.reversal for each in turnings]
     train = observed(mounted.robot, data.train, reversals)
-    drive = rows.drive
+    drive = identified.rows.drive
     tau = measured * gains_of(mounted.robot, data, drive)
     if drive is not None and data.unit == "A":
         drive = _refined_gains(train, tau, prior, drive)
@@ -348,6 +337,7 @@ def _of_data(
     holdout = holdout_of(mounted.robot, data.validate, gains, nominal, drive)
     share = coarseness(data.train)
     halves = _halves(mounted.robot, logs, data, share)
+    train = train.by(identified.understood)
     fit = _extended(mounted, train, halves, tau, prior, holdout, drive)
     error = holdout.series.measured - fit.predicted
     left = residuals(joints, data.validate, error, holdout.error, fit.predicted)
@@ -554,13 +544,48 @@ def _refuted(
     return scale.gain + rival.tie * scale.gain_std < 0
 
 
-def _as_identified(robot: Robot, data: Data) -> tuple[FitRows, tuple[Turning, ...]]:
-    """The rows of identify, and friction that turns over a range of speeds there.
+class _Identified(NamedTuple):
+    """An arm as identified.
+
+    Attributes:
+        rows: Its regression.
+        turnings: Friction that turns over a range of speeds there.
+        model: The arm with physically consistent bodies and effects, or as given.
+        fit: Its least squares; None where they are not determined.
+    """
+
+    rows: FitRows
+    turnings: Sequence[Turning]
+    model: Robot
+    fit: LeastSquares | None
+
+    @property
+    def understood(self) -> Robot:
+        """The given arm, with the effects found where it gives joints no friction.
+
+        What is read from the torque, as a delay, is read from that of the friction too.
+        """
+        given = self.rows.robot
+        bare = frictionless(given)
+        return given.with_effects(self.model.effects) if bare else given
+
+
+def _as_identified(robot: Robot, data: Data) -> _Identified:
+    """The identification by the rows of identify.
 
     Drive gains are those that suit the nominal bodies best, friction left free.
     """
     usual = standard_effects(robot.joints)
-    return turned_rows(robot, usual, base_parameters(robot, usual), data)
+    base = base_parameters(robot, usual)
+    rows, turnings = turned_rows(robot, usual, base, data)
+    try:
+        fit = weighted_least_squares(rows.reduced)
+        R, z = rows.regression.factor(fit.weight)
+        physical = fit_physical(R, z, prior_parameters(robot), rows.open_prior)
+    except (RankDeficient, Infeasible):
+        return _Identified(rows, turnings, robot, None)
+    model = identified_robot(robot, rows.effects, physical.x)
+    return _Identified(rows, turnings, model, fit)
 
 
 def _refined_gains(
@@ -636,7 +661,7 @@ def _judged_set_up(mounted: SetUp, finding: Finding) -> Finding:
 def _iterated(first: Extender, excluded: frozenset[Key]) -> Extension:
     """The model with the causes that the hold-out confirms, searched for again with that model."""
     holdout = first.holdout
-    robot = first.train.robot
+    robot = holdout.robot
     best: Extension | None = None
     extender = first
     for _ in range(SEARCH.rounds):

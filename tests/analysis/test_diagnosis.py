@@ -92,6 +92,14 @@ def test_it_alone_is_named(effect: HiddenEffect, ur10: Robot, diagnosed: Diagnos
     assert not [f for f in result["findings"][1:] if f["verdict"] == "named"]
 
 
+def test_a_delay_is_that_of_friction_too_which_the_model_lacks(diagnosed: Diagnosed) -> None:
+    robot, late = load_robot("so100"), hidden("time_delay", delay=0.02)
+    found = diagnosed(robot, 1, late, given=robot.with_effects(())).findings
+    effects = {f.effect.name: f.effect for f in found if f.verdict == "named"}
+    assert effects["time_delay"].values == pytest.approx((0.02,), abs=1e-3)
+    assert "presliding_hysteresis" not in {f.effect.name for f in found}
+
+
 @pytest.mark.slow
 def test_what_no_candidate_describes_is_unknown(ur10: Robot, diagnosed: Diagnosed) -> None:
     """A torque that switches at random, as a sticking brake might."""
