@@ -126,8 +126,8 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
     """Torque that stays at its extreme value, or at its limit but for noise, while its joint moves.
 
     Of a channel that is not cut off no more samples lie exactly at the extreme value than in a
-    narrow band below it, where even a smooth peak spends longer; the excess is a Poisson count.
-    Limits that some torque exceeds are no drive's.
+    narrow band below it, where even a smooth peak spends longer; the excess is a Poisson count. One
+    of few levels has no narrow band. Limits that some torque exceeds are no drive's.
     """
     scatters = np.array([noise(x) for x in log.tau.T])
     highest = np.abs(log.tau).max(axis=0) - 6 * scatters
@@ -144,7 +144,7 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
         near = int((moved & ~at & (x > top - band)).sum())
         count = int(at.sum())
         value = sign * top
-        many = count >= _AT_EXTREME and band > 0
+        many = count >= _AT_EXTREME and 0 < band < span / 2
         chance = float(scipy.special.pdtrc(count - 1, near + 1)) if many else 1.0
         evidence: dict[str, object] = {"channel": "tau"}
         if chance <= ALARM / (2 * log.nv):
