@@ -835,7 +835,7 @@ def positions_beyond_limits(fit: TorqueFit) -> Iterator[Fault]:
         return
     low, high = robot.limits.position.T
     names = fit.log.names(beyond)
-    worst = int(beyond[np.argmax(reach[beyond])])
+    worst = int(np.argmax(reach))
     largest = float(np.abs(q[:, worst]).max())
     detail = (
         f"q of {', '.join(names)} leaves the joints' limits by more than "

@@ -101,11 +101,10 @@ def smooth(log: Log) -> Smooth | None:
     grid = np.arange(log.t[0], log.t[-1] + 1e-9 * log.step, log.step)
     rate = 1 / log.step
     span = np.std(log.q, axis=0)
-    frequency = 0.0
+    speed = np.sqrt((log.travel**2).mean(axis=0)) / log.step
     moved = span > 50 * log.grain
-    if moved.any():
-        speed = np.sqrt((log.travel[:, moved] ** 2).mean(axis=0)) / log.step
-        frequency = float((speed / span[moved]).max() / (2 * np.pi))
+    per_span = np.divide(speed, span, out=0 * span, where=moved)
+    frequency = float(per_span.max()) / (2 * np.pi)
     least = 2 * _BAND / (grid[-1] - grid[0])
     cutoff = min(max(_BAND * frequency, least), 0.2 * rate)
 
@@ -249,18 +248,12 @@ class TorqueFit:
         bodies = slice(10 * self.robot.nv)
         grams = products[:, bodies, bodies]
         torques = products[:, bodies, -1]
+        alone = np.array([*map(_solve, grams, torques)])
+        squares = products[:, -1, -1] - (torques * alone).sum(axis=1)
         least = 1e-10 * self.size[self.joints]
-
-        def error(z: Sequence[Array]) -> Array:
-            known = zip(free, z, strict=True)
-            return np.stack(
-                [own[:, bodies] @ x - own[:, -1] for own, x in known], 1
-            )
-
-        alone = error(list(map(_solve, grams, torques)))
-        weight = 1 / np.maximum((alone**2).mean(axis=0), least)
+        weight = 1 / np.maximum(squares / len(self.tau), least)
         z = _solve(np.tensordot(weight, grams, 1), weight @ torques)
-        return error([z] * len(grams))
+        return np.stack([own[:, bodies] @ z - own[:, -1] for own in free], axis=1)
 
     @cached_property
     def power(self) -> Array:
@@ -311,13 +304,32 @@ class TorqueFit:
         variance = friction[:, -1] / weight + (solved**2).sum(axis=0)
         # dry friction of a joint that stands could be anything
         moving = self.log.moving[:, self.joints].any(axis=0)
-        driving = np.where(moving, np.minimum(power, 0.0), 0.0) ** 2
-        total = float(
-            L[-1, -1] ** 2 + (driving / np.maximum(variance, 1e-300)).sum()
+        driving = (
+            moving * np.minimum(power, 0.0) ** 2 / np.maximum(variance, 1e-300)
         )
+        total = L[-1, -1] ** 2 + driving.sum() + self._shrunk(weight, other)
         # sums of readings are not likelier for being larger, nor for another unit
         density = np.log(weight * per_reading[self.joints])
-        return total, total + occam - float(rows[self.joints] @ density)
+        surprise = total + occam - rows[self.joints] @ density
+        return float(total), float(surprise)
+
+    def _shrunk(self, weight: Array, other: int) -> float:
+        """Squares of bodies that are too small, beyond those of a normal prior; of one joint.
+
+        Sizes are log-normal: a tenth of the nominal torque is no likelier than ten times as much,
+        though it is closer.
+        """
+        own = np.arange(len(weight))
+        gains = 10 * self.robot.nv + own
+        products = self.sums.grams[own, gains]
+        along = np.maximum(products[own, gains], 1e-300)
+        gain = np.clip(1 - products[:, -1] / along, 1e-6, 1.0)
+        spread = products[:, :-1] * self._std(other) / along[:, None]
+        by_bodies = (spread**2).sum(axis=1)
+        by_noise = 1 / (weight * along)
+        normal = (1 - gain) ** 2 / (by_bodies + by_noise)
+        log_normal = np.log(gain) ** 2 / (by_bodies + by_noise / gain**2)
+        return float((log_normal - normal).max(initial=0.0))
 
     def squares(self, weight: Array) -> float:
         """Squares that bodies near the nominal ones leave, friction of any sign."""
