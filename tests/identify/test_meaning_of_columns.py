@@ -154,13 +154,20 @@ def fit_of(robot: Robot, recording: Recording) -> TorqueFit:
     return case
 
 
-@pytest.mark.slow
-def test_a_push_by_hand_is_no_installation() -> None:
-    """It would be a mounting or a coupling that most of the log speaks against."""
-    for name, k in (("scara", 0), ("so100", 1)):
-        robot = load_robot(name)
-        log = READ["pushed_by_hand"][1](robot, run_of(robot, (3, 0, k)).log, None)
-        assert not {fault.fault for fault in find_faults(robot, log)} & set(OF_THE_ARM)
+@pytest.mark.parametrize(
+    ("kind", "arm", "seed", "run", "told"),
+    [
+        ("kilogram_metres", "scara", 43, 0, {"wrong_unit"}),  # no gravity tells
+        ("coarse_torque", "ur5e", 48, 0, set()),
+        slow("pushed_by_hand", "scara", 0, 0, set()),  # most of the log speaks against a mounting
+        slow("pushed_by_hand", "so100", 0, 1, set()),
+    ],
+)
+def test_what_is_small_coarse_or_pushed_is_told_for_nothing_else(kind, arm, seed, run, told):
+    robot = load_robot(arm)
+    log = READ[kind][1](robot, run_of(robot, (3, seed, run)).log, None)
+    found = {fault.fault for fault in find_faults(robot, log)}
+    assert found & {*OF_THE_ARM, "wrong_unit", "saturation"} == told
 
 
 def test_channels_of_a_joint_that_stands_are_not_dead(planar: Robot, exact: Call) -> None:
