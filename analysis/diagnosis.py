@@ -337,8 +337,8 @@ def _of_data(
     holdout = holdout_of(mounted.robot, data.validate, gains, nominal, drive)
     share = coarseness(data.train)
     halves = _halves(mounted.robot, logs, data, share)
-    train = train.by(identified.understood)
-    fit = _extended(mounted, train, halves, tau, prior, holdout, drive)
+    understood = identified.understood
+    fit = _extended(mounted, train, halves, tau, prior, holdout, drive, understood)
     error = holdout.series.measured - fit.predicted
     left = residuals(joints, data.validate, error, holdout.error, fit.predicted)
     causes, others = _causes(fit, holdout, drive)
@@ -450,17 +450,29 @@ def _extended(
     prior: Array,
     holdout: Holdout,
     drive: DriveGains | None,
+    understood: Robot,
 ) -> Extension:
-    """The extended model; the nominal one where no other predicts the hold-out better."""
+    """The extended model; the nominal one where no other predicts the hold-out better.
+
+    The search begins with the torque of the nominal model, and with that of the arm understood.
+    """
     gains = None if drive is None else drive.covariance
     evidence = gather(mounted.robot, train, tau, prior, gains=gains)
     first = Extender(prior, train, tau, holdout, evidence, gains, halves)
     changes = frozenset((effect.name, effect.joints) for effect in mounted.effects)
     fit = _iterated(first, changes)
     refuted = changes | fit.refuted
-    doubted = _replaceable(mounted.robot, fit)
-    for excluded in filter(None, (fit.refuted, doubted)):
-        again = _iterated(first, changes | excluded)
+    others = [(first, fit.refuted)] if fit.refuted else []
+    # the order of causes that are read from the torque must not decide
+    if understood is not mounted.robot:
+        train = train.by(understood)
+        evidence = gather(mounted.robot, train, tau, prior, gains=gains)
+        later = replace(first, train=train, evidence=evidence)
+        others.append((later, frozenset()))
+    elif doubted := _replaceable(mounted.robot, fit):
+        others.append((first, doubted))
+    for start, excluded in others:
+        again = _iterated(start, changes | excluded)
         if holdout.worse(fit.predicted, again.predicted, CONFIRMATION.floor):
             fit = again
     # all that is missing in the model looks a little like a gain common to all joints
