@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -219,20 +220,41 @@ def in_one_line(content: object) -> str:
 
 
 def parsed_json(text: str | bytes, number: Callable[[str], float] = float) -> Any:
-    """Content of JSON; ValueError where it is none, nests too deep, or ``number`` refuses one."""
+    """Content of JSON.
+
+    Raises:
+        ValueError: It is none, nests too deep, has a key twice, or ``number`` refuses one.
+    """
 
     def whole(text: str) -> float:
         return int(text) if len(text) <= _DIGITS else number(text)
 
     content = json.loads(
-        text, parse_constant=number, parse_float=number, parse_int=whole
+        text,
+        object_pairs_hook=_entries,
+        parse_constant=number,
+        parse_float=number,
+        parse_int=whole,
     )
     _refuse_excess(content, math.inf)
     return content
 
 
+def _entries(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    entries = dict(pairs)
+    if len(entries) < len(pairs):
+        [(twice, _)] = Counter(key for key, _ in pairs).most_common(1)
+        raise ValueError(f"'{twice}' is given twice")
+    return entries
+
+
 def parsed_yaml(text: str, loader: type[Loader] | None = None) -> Any:
-    """Content of YAML; ValueError or YAMLError where it is none, nests too deep, or is huge."""
+    """Content of YAML.
+
+    Raises:
+        ValueError: It nests too deep, or is huge.
+        YAMLError: It is none, or has a key twice.
+    """
     content = yaml.load(text, loader or Loader)
     _refuse_excess(content, _VALUES)
     return content
@@ -352,7 +374,20 @@ def _fault(error: Exception) -> str:
 
 
 class Loader(yaml.SafeLoader):
-    """YAML 1.2's numbers, so that 1e-3 is one."""
+    """YAML 1.2's numbers, so that 1e-3 is one, and no key twice."""
+
+    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
+        """Refuse a key that is given twice, of which the last would count."""
+        node = super().compose_mapping_node(anchor)
+        seen = set[tuple[str, str]]()
+        for key, _ in node.value:
+            name = (key.tag, str(key.value))
+            # what several << name is joined
+            if name in seen and key.value != "<<":
+                why = f"'{key.value}' is given twice"
+                raise yaml.composer.ComposerError(None, None, why, key.start_mark)
+            seen.add(name)
+        return node
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         """Join the mappings that ``<<`` names, as long as that stays of a size."""
