@@ -2,7 +2,7 @@ from . import plot
 from .nouns import report, save
 from .pages import SavedRun, compare, page_of
 from .render import brief, html, summary, table_lines
-from .run import as_saved, load_run, read_result, save_run
+from .run import as_saved, load_run, prepare, read_result, save_run
 
 __all__ = [
     "SavedRun",
@@ -13,6 +13,7 @@ __all__ = [
     "load_run",
     "page_of",
     "plot",
+    "prepare",
     "read_result",
     "report",
     "save",

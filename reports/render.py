@@ -61,7 +61,7 @@ def html(page: Page, saved: bool = True) -> str:
         *["uplot.min.js", "figures.js"] * drawn,
         *["three.js", "player.js"] * (Player in kinds),
     ]
-    template = _environment().get_template("report.html.j2")
+    template = page_template()
     scripts = [_script(name) for name in names]
     return template.render(
         page=page, saved=saved, drawn=drawn, scripts=scripts, colours=COLOURS
@@ -95,7 +95,8 @@ def _template_of(block: Block) -> str:
 
 
 @cache
-def _environment() -> jinja2.Environment:
+def page_template() -> jinja2.Template:
+    """The template of a page."""
     import jinja2
 
     environment = jinja2.Environment(
@@ -108,7 +109,7 @@ def _environment() -> jinja2.Environment:
     environment.filters["breakable"] = _breakable
     environment.filters["packed"] = packed
     environment.filters["template"] = _template_of
-    return environment
+    return environment.get_template("report.html.j2")
 
 
 def _breakable(words: str) -> Markup:

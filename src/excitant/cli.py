@@ -107,7 +107,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     try:
         check()
-        if isinstance(run := bound.arguments.get("run"), Run):
+        run = bound.arguments.get("run", Run())
+        if run.output is not None or command in _SAVED:
             run.require()
         status = command(*bound.args, **bound.kwargs) or 0
         print(end="", flush=True)  # here, where a full disk is told
@@ -296,6 +297,9 @@ _VERBS: dict[Callable[..., Any], tuple[str, ...]] = {
     ),
 }
 """The commands in the order of the work, each with examples."""
+_SAVED = {verb for verb in _VERBS if "run" in inspect.signature(verb).parameters}
+_SAVED -= {robots, report}
+"""Commands that save a run, also where no folder is named."""
 
 for _order, (_verb, _examples) in enumerate(_VERBS.items()):
     # help breaks lines itself

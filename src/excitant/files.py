@@ -10,7 +10,7 @@ import os
 import secrets
 import shutil
 import stat
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from os.path import exists, isdir, lexists
 from pathlib import Path
@@ -73,9 +73,7 @@ def real_path(path: str | Path) -> Path:
 def require_replaceable(folder: str | Path) -> None:
     """Refuse, as BadInput, a folder that `write_folder` could not put in place."""
     path = real_path(folder)
-    # a link that leads nowhere is there, though nothing can be written in it
-    parent = next((each for each in path.parents if lexists(each)), path)
-    why = ""
+    why = _unwritable(path)
     if exists(path) and not isdir(path):
         why = "is a file"
     elif lexists(path) and not exists(path):
@@ -84,14 +82,36 @@ def require_replaceable(folder: str | Path) -> None:
         why = "is the working folder or holds it, and would be replaced as a whole"
     elif os.path.ismount(path):
         why = "is a mount point, which cannot be replaced as a whole"
-    elif not isdir(parent):
-        why = f"{parent} is no folder"
-    elif not os.access(parent, os.W_OK | os.X_OK):
-        why = f"nothing can be written in {parent}"
     if why:
-        raise BadInput(
-            f"{folder}: {why}; choose another folder, such as {Path(folder) / 'run'}"
-        )
+        raise BadInput(f"{folder}: {why}; choose another folder, such as runs/1")
+
+
+def require_file(path: str | Path, suffixes: Sequence[str]) -> Path:
+    """The file; BadInput where `write_file` could not write it, or it has another suffix."""
+    file = Path(path)
+    if file.suffix not in suffixes:
+        raise BadInput(f"{file}: name a {' or '.join(suffixes)} file")
+    real = real_path(file)
+    why = "is a folder" if isdir(real) else _unwritable(real)
+    if why:
+        raise BadInput(f"{file}: {why}; choose another file")
+    return file
+
+
+def _unwritable(path: Path) -> str:
+    """Why nothing can be written at an absolute path; empty where it can."""
+    # a link that leads nowhere is there, though nothing can be written in it
+    parent = next((each for each in path.parents if lexists(each)), path)
+    if not isdir(parent):
+        return f"{parent} is no folder"
+    if not os.access(parent, os.W_OK | os.X_OK):
+        return f"nothing can be written in {parent}"
+    longest = os.pathconf(parent, "PC_NAME_MAX")
+    if any(len(os.fsencode(name)) > longest for name in path.parts):
+        return f"has a name of more than {longest} bytes"
+    if len(os.fsencode(path)) + longest > os.pathconf(parent, "PC_PATH_MAX"):
+        return "is too long a path"
+    return ""
 
 
 def write_file(path: str | Path, content: str | bytes) -> None:

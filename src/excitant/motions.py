@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
@@ -13,7 +12,7 @@ from cyclopts import Parameter
 import excitant as ex
 from excitant.design.options import Columns, Search
 from excitant.exceptions import BadInput
-from excitant.files import write_file
+from excitant.files import require_file, write_file
 from excitant.names import printable
 from excitant.options import (
     OUTPUT,
@@ -105,6 +104,7 @@ def design(
             "--bound holds for one motion with equal noise; leave --noise and --after"
         )
     ex.design.require_playable(arm, **vars(play))
+    ex.reports.prepare()
     if link_by_link:
         _design_link_by_link(arm, search, surroundings, play, run)
         return 0
@@ -238,11 +238,8 @@ def show(
         json: Print the result as JSON and nothing else.
     """
     arm = part.robot(robot)
-    target = Path(
-        output or f"{Run().folder({'verb': 'show', 'robot': arm.name})}.html"
-    )
-    if target.suffix != ".html":
-        raise BadInput(f"{target}: name a .html file")
+    folder = Run().folder({"verb": "show", "robot": arm.name})
+    target = require_file(output or f"{folder}.html", [".html"])
     checked = ex.show(arm, trajectory, surroundings=surroundings)
     around = ex.api.obstacles_around(checked.robot, surroundings)
     result = checked.result() | {
@@ -281,9 +278,7 @@ def simulate(
         json: Print the result as JSON and nothing else.
     """
     arm = part.robot(robot)
-    target = Path(output)
-    if target.suffix not in (".csv", ".parquet"):
-        raise BadInput(f"{target}: name a .csv or .parquet file")
+    target = require_file(output, [".csv", ".parquet"])
     with progress_bar("simulate") as advance:
         table, duration, effects = ex.simulate(
             arm,

@@ -217,9 +217,11 @@ class Readings:
         try:
             yield
         except ExcitantError as error:
-            for fault in ex.identify.proven(self.entries["faults"])[:1]:
-                if fault.partition(": ")[2] not in str(error):
-                    error.add_note(f"what may explain it, {fault}")
+            faults = self.entries["faults"]
+            wrong = [fault for fault in faults if ex.identify.proven([fault])]
+            for fault in wrong[:1]:
+                if fault["detail"] not in str(error):
+                    error.add_note(_explanation(fault))
             raise
 
     def others(self, names: Sequence[str]) -> list[Recording]:
@@ -240,8 +242,7 @@ class Run:
 
     def require(self) -> None:
         """Refuse, before the work begins, a folder that cannot be written into after it."""
-        if self.output is not None:
-            require_replaceable(self.output)
+        require_replaceable(self.output or "runs/1")
 
     def folder(self, result: Mapping[str, Any]) -> Path:
         """Folder of the run."""
@@ -283,6 +284,12 @@ class Run:
                 )
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"{folder} was written") from None
+
+
+def _explanation(fault: Mapping[str, Any]) -> str:
+    """What a fault, under its JSON names, may explain, and the repair that there is."""
+    repair = f"; --repair {fault['repair']}" if fault["repair"] else ""
+    return f"what may explain it, {fault['recording']}: {fault['detail']}{repair}"
 
 
 def print_paths(paths: Sequence[Path]) -> None:
