@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from typing import Any, NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_OF_POOLS = ("ExecutorManagerThread", "QueueFeederThread", "GeneratorExitThread")
+"""Names of threads that loky and joblib run a pool with."""
 _arrived = threading.Event()
 
 
@@ -33,9 +35,14 @@ def listen() -> None:
 
 def _interrupt(number: int, _: object) -> NoReturn:
     _arrived.set()
-    # threads of a pool that is ended amid its work may fail
-    threading.excepthook = lambda _: None
+    threading.excepthook = _tell
     raise Interrupted
+
+
+def _tell(error: threading.ExceptHookArgs) -> None:
+    """Tell an error of a thread, unless its pool was ended amid its work."""
+    if error.thread is None or error.thread.name not in _OF_POOLS:
+        threading.__excepthook__(error)
 
 
 def ignore() -> None:
