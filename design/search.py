@@ -175,7 +175,13 @@ Report = Callable[[DesignProblem, Sequence[SearchState]], None]
 
 
 def best_solutions(searches: Iterable[SearchState], count: int) -> list[Array]:
-    """Unknowns of the best that searches found within all limits, best first."""
+    """Unknowns of the best that searches found within all limits, best first.
+
+    After an interrupt, which is to end soon, the first alone.
+    """
+    searches = tuple(searches)
+    if _interrupted(searches):
+        count = 1
     solutions = sorted(
         (s.best_value, s.index, s.best) for s in searches if s.best is not None
     )

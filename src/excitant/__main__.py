@@ -31,6 +31,7 @@ def run() -> None:
     except KeyboardInterrupt:  # while modules are imported
         print("excitant: interrupted; nothing was written", file=sys.stderr)
         status = 130
+    gc.freeze()  # what is left ends with the process, without a last collection
     sys.exit(status)
 
 
