@@ -18,6 +18,7 @@ import yaml
 from excitant.design.trajectory import Trajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.files import read_text
+from excitant.robots.limits import UNLIMITED
 from excitant.robots.motion import Motion
 from excitant.robots.robot import Robot
 from excitant.robots.schema import Finite, Positive, convert, read_yaml
@@ -32,7 +33,6 @@ _FIRST = "a=0.3, v=0.2"  # rad/s² and rad/s of the move to the first pose
 # s at the last pose, which servoj reaches later than it is told; whole steps
 _SETTLE = 0.48
 _Periods = Annotated[int, msgspec.Meta(ge=1, le=10_000)]
-_LARGEST = 1e9  # rad, rad/s, rad/s²: a sample beyond it is damaged
 
 
 def motion_csv(motion: Motion) -> str:
@@ -179,8 +179,8 @@ def _csv_fault(lines: Sequence[list[str]], robot: Robot) -> str | None:
                 size = abs(float(cell))
             except ValueError:
                 size = np.nan
-            if not size <= _LARGEST:
-                return f"row {k}, column '{name}': '{cell}' is not a number up to {_LARGEST:g}"
+            if not size <= UNLIMITED:
+                return f"row {k}, column '{name}': '{cell}' is not a number up to {UNLIMITED:g}"
     return None
 
 

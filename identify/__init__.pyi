@@ -20,7 +20,13 @@ from .export import (
     published,
     save_model,
 )
-from .faults import Checked, check_recordings, proven, warn_of_faults
+from .faults import (
+    Checked,
+    check_recordings,
+    proven,
+    refuse_positions_beyond,
+    warn_of_faults,
+)
 from .knowledge import Knowledge, load_knowledge
 from .mujoco import side_by_side
 from .online import (
@@ -106,6 +112,7 @@ __all__ = [
     "read_recordings",
     "recording_from_table",
     "recordings_of",
+    "refuse_positions_beyond",
     "save_model",
     "side_by_side",
     "split",

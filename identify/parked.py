@@ -216,7 +216,8 @@ def parked(
     left_out = (*beside, *more)
     if positions:
         notes.insert(0, _sentence(free, positions, recordings))
-    robot = replace(robot, notes=(*robot.notes, *notes))
+    if notes:
+        robot = replace(robot, notes=(*robot.notes, *notes))
     return Parked(robot, free, positions, left_out, tuple(notes))
 
 

@@ -21,8 +21,9 @@ import pinocchio as pin
 from excitant.robots.motion import Array, Motion, frozen, read_only
 from excitant.robots.robot import Robot
 
-_ANGLES = 0.4 * np.pi * np.arange(1, 5)
-_CIRCLE = [(x, 0.5 * (-1) ** k / np.sin(x / 2)) for k, x in enumerate(_ANGLES)]
+CIRCLE = 0.4 * np.pi * np.arange(5)
+"""Angles of a revolute joint [rad] whose torques give that at any other; see `circle_weights`."""
+_TURNS = [(x, 0.5 * (-1) ** k / np.sin(x / 2)) for k, x in enumerate(CIRCLE[1:])]
 _LINE = [(1.0, 0.5), (-1.0, -0.5)]  # steps of a derivative by position, weights
 
 ROUNDING = 1e-12  # of the largest torque of a motion, up to which there is none
@@ -75,9 +76,18 @@ def regressor_derivatives(robot: Robot, motion: Motion) -> RegressorDerivatives:
         ahead = _evaluate(robot, q, dq + unit, ddq)
         behind = _evaluate(robot, q, dq - unit, ddq)
         by_dq[j] = (ahead - behind) / 2
-        for step, weight in _CIRCLE if robot.revolute[j] else _LINE:
+        for step, weight in _TURNS if robot.revolute[j] else _LINE:
             by_q[j] += weight * _evaluate(robot, q + step * unit, dq, ddq)
     return RegressorDerivatives(Y, by_q, by_dq, by_ddq)
+
+
+def circle_weights(angle: Array) -> Array:
+    """Weights of the values at `CIRCLE` in that at an angle [rad], shapes (1,) and (5,).
+
+    They are those of the interpolating trigonometric polynomial of degree 2.
+    """
+    apart = angle - CIRCLE
+    return np.asarray((1 + 2 * np.cos(apart) + 2 * np.cos(2 * apart)) / 5, float)
 
 
 def rigid_body_torque(robot: Robot, motion: Motion) -> Array:

@@ -40,6 +40,7 @@ from excitant.identify.faults.installation import (
     installation_faults,
     odds_against,
     pose_faults,
+    refuse_positions_beyond,
     support,
     swapped,
 )
@@ -66,6 +67,7 @@ __all__ = [
     "check_recordings",
     "find_copies",
     "find_faults",
+    "refuse_positions_beyond",
     "repair",
 ]
 

@@ -22,6 +22,7 @@ import numpy as np
 import pinocchio as pin
 import scipy
 
+from excitant.exceptions import BadRecording
 from excitant.identify.drive_gains import BODY_STD
 from excitant.identify.faults.fault import (
     ALARM,
@@ -48,8 +49,13 @@ from excitant.identify.faults.torque_fit import (
 from excitant.identify.reading.units import sizes_of
 from excitant.identify.recording import Recording
 from excitant.robots.effects.sensing import LONGEST_DELAY
+from excitant.robots.limits import UNLIMITED
 from excitant.robots.motion import Array, Motion
-from excitant.robots.regressor import rigid_body_torque
+from excitant.robots.regressor import (
+    CIRCLE,
+    circle_weights,
+    rigid_body_torque,
+)
 from excitant.robots.robot import Robot, spans
 
 
@@ -183,7 +189,7 @@ def odds_against(robot: Robot) -> float:
 
 def installation_faults(case: TorqueFit) -> list[Fault]:
     """The faults of unit, installation and clock that the torque shows."""
-    beyond = [*positions_beyond_limits(case)]
+    beyond = [*positions_beyond_limits(case.robot, case.data.motion.q)]
     if faults := [*_torque_beyond_limits(case, bool(beyond))]:
         return beyond + faults
     best = Installation()
@@ -518,13 +524,14 @@ def _with_torque_of(robot: Robot, log: Log, other: Log) -> float:
 
 def _moves(fit: TorqueFit) -> Iterator[Installation]:
     """Installations next to the one of a fit, each the likeliest of its kind."""
-    if next(positions_beyond_limits(fit), None):
+    if len(beyond_limits(fit.robot, fit.data.motion.q)[0]):
         # a gear ratio may look like degrees, but suits the torque at another factor
         for installation in _in_degrees(fit):
             if _is_best_factor(fit, installation.faults[0]):
                 yield installation
         for installation in _nearest(fit, _orders(fit)):
-            if not next(positions_beyond_limits(installation.fit(fit)), None):
+            q = installation.fit(fit).data.motion.q
+            if not len(beyond_limits(fit.robot, q)[0]):
                 yield installation
         return
     rows = np.maximum(fit.rows, 1.0)
@@ -561,42 +568,72 @@ def _unlikeness(fit: TorqueFit, faults: Sequence[Fault] = ()) -> float:
     installation = Installation(tuple(faults))
     data = fit.data.remedied(installation.remedies)
     model = rigid_body_torque(installation.robot(fit.robot), data.motion)
-    return float(_shares(fit, model, data)[[*fit.joints]].mean())
+    return float(_shares(fit, _products(data, [model]), data)[[*fit.joints]].mean())
 
 
-def _shares(fit: TorqueFit, model: Array, data: Smooth) -> Array:
-    """Logarithm of these shares, for a torque of the bodies, (N, nv); shape (nv,).
+def _products(data: Smooth, torques: Sequence[Array]) -> Array:
+    """Products of m torques, (N, nv) each, and the measured one, without own effects.
+
+    Returns:
+        Shape (nv, m + 1, m + 1).
+    """
+    every = np.stack([*torques, data.tau], axis=2).swapaxes(0, 1)
+    Q = np.linalg.qr(data.effects.swapaxes(0, 1))[0]
+    every = every - Q @ (Q.swapaxes(1, 2) @ every)
+    return np.asarray(every.swapaxes(1, 2) @ every, float)
+
+
+def _shares(fit: TorqueFit, products: Array, data: Smooth) -> Array:
+    """Logarithm of these shares, from the products of a torque of the bodies; shape (nv,).
 
     The bodies' torque counts up to a factor of each joint: one that other bodies may make, where
     torque was recorded.
     """
-    torques = np.stack([model, data.tau], axis=2).swapaxes(0, 1)
-    Q = np.linalg.qr(data.effects.swapaxes(0, 1))[0]
-    torques = torques - Q @ (Q.swapaxes(1, 2) @ torques)
-    wanted, measured = np.moveaxis(torques, 2, 0)
-    size = np.maximum((wanted**2).sum(axis=1), 1e-300)
-    factor = (wanted * measured).sum(axis=1) / size
+    size = np.maximum(products[:, 0, 0], 1e-300)
+    both = products[:, 0, 1]
+    factor = both / size
     most = np.full(fit.robot.nv, np.inf)
     if is_described(fit.robot) and fit.log.unit == "N·m":
         most[:] = SEARCH.least_scale
         most[[*fit.unscaled]] = np.inf
     factor = np.clip(factor, 1 / most, most)
-    left = ((measured - factor[:, None] * wanted) ** 2).sum(axis=1)
+    left = products[:, 1, 1] - 2 * factor * both + factor**2 * size
     share = left / np.maximum((data.tau**2).sum(axis=0), 1e-300)
     return np.asarray(np.log(np.maximum(share, MODEL_ERROR**2)), float)
 
 
-def _best(
+def _of_sums(
     fit: TorqueFit,
-    told: Callable[[Array], Sequence[Fault]],
-    starts: Array,
-    reach: float,
-) -> Array:
-    """Values (d,) with whose faults the torque is least unlike, near the best of starts, (m, d)."""
+    faults: Sequence[Fault],
+    robots: Iterable[Robot],
+    weights: Callable[[Array], Array],
+) -> Callable[[Array], float]:
+    """`_unlikeness` by values with which the torque is the weighted sum of that of robots.
+
+    Args:
+        fit: A log.
+        faults: What is otherwise whatever the values.
+        robots: m of them.
+        weights: Function of the values, (d,), shape (m,).
+    """
+    data = fit.data.remedied(Installation(tuple(faults)).remedies)
+    torques = [rigid_body_torque(robot, data.motion) for robot in robots]
+    products = _products(data, torques)
 
     def unlikeness(values: Array) -> float:
-        return _unlikeness(fit, told(values))
+        sums = np.zeros((len(torques) + 1, 2))
+        sums[:-1, 0] = weights(values)
+        sums[-1, 1] = 1.0
+        shares = _shares(fit, sums.T @ products @ sums, data)
+        return float(shares[[*fit.joints]].mean())
 
+    return unlikeness
+
+
+def _best(
+    unlikeness: Callable[[Array], float], starts: Array, reach: float
+) -> Array:
+    """Values (d,) with which the torque is least unlike, near the best of starts, (m, d)."""
     near = min(starts, key=unlikeness)
     bounds = [(x - reach, x + reach) for x in near]
     found = scipy.optimize.minimize(
@@ -797,7 +834,7 @@ def beyond_limits(robot: Robot, q: Array) -> tuple[Rows, Array]:
 
     The latter in these, shape (nv,).
     """
-    low, high = robot.limits.position.T
+    low, high = np.clip(robot.limits.position, -UNLIMITED, UNLIMITED).T
     margin = np.where(robot.revolute, 2 * np.pi, high - low)
     reach = np.maximum(q.max(axis=0) - high, low - q.min(axis=0)) / margin
     return np.flatnonzero(reach > 1), reach
@@ -825,16 +862,20 @@ def inertias_beyond_size(robot: Robot) -> Iterator[Fault]:
     yield Fault("wrong_unit", joints, detail, {"channel": "inertia"})
 
 
-def positions_beyond_limits(fit: TorqueFit) -> Iterator[Fault]:
+def refuse_positions_beyond(robot: Robot, recording: Recording) -> None:
+    """Refuse, as BadRecording, what cannot be the joints' positions [rad or m]."""
+    for fault in positions_beyond_limits(robot, recording.q):
+        raise BadRecording(recording.file, fault.detail)
+
+
+def positions_beyond_limits(robot: Robot, q: Array) -> Iterator[Fault]:
     """Positions that leave the joints' limits by more than a turn, or by their whole range."""
-    robot = fit.robot
-    joints = fit.log.joints
-    q = fit.data.motion.q
+    joints = robot.joints
     beyond, reach = beyond_limits(robot, q)
     if not len(beyond):
         return
     low, high = robot.limits.position.T
-    names = fit.log.names(beyond)
+    names = tuple(joints[j] for j in beyond)
     worst = int(np.argmax(reach))
     largest = float(np.abs(q[:, worst]).max())
     detail = (
@@ -985,7 +1026,11 @@ def _clock(fit: TorqueFit) -> Iterator[Installation]:
 
     yield from _nearest(fit, [_one(fit, *told(np.log([rate]))) for rate in RATES])
     grid = np.log(_FACTORS)
-    best = _best(fit, told, grid[:, None], grid[1] - grid[0])
+    best = _best(
+        lambda logarithm: _unlikeness(fit, told(logarithm)),
+        grid[:, None],
+        grid[1] - grid[0],
+    )
     if np.abs(best) >= SEARCH.clock:
         # an odd factor may stand for anything that the model lacks
         yield _one(fit, *told(best), more=ANY_VALUE)
@@ -1006,7 +1051,9 @@ def _delays(fit: TorqueFit) -> Iterator[Installation]:
         data.remedied([Remedy("advance", "tau", every, factor=lag)])
         for lag in lags.tolist()
     )
-    shares = np.array([_shares(fit, model, each) for each in late])
+    shares = np.array(
+        [_shares(fit, _products(each, [model]), each) for each in late]
+    )
     rises = (shares - shares[rows])[:, fit.joints]
     rises = np.column_stack([rises.sum(axis=1), rises])  # of all joints, of each
     rises[np.abs(lags) <= LONGEST_DELAY - step] = 0.0
@@ -1055,10 +1102,17 @@ def _mounting(fit: TorqueFit) -> Iterator[Installation]:
     yield _one(fit, Fault("wrong_mounting", fit.log.joints, detail, evidence))
     axes = np.array([x for x in itertools.product((-1, 0, 1), repeat=3) if any(x)])
 
-    def told(gravity: Array) -> list[Fault]:
-        return [_mounted(fit, range(fit.robot.nv), gravity)]
+    # torque is linear in gravity
+    size = np.linalg.norm(fit.robot.gravity)
+    robots = [fit.robot.with_gravity(size * x) for x in (np.zeros(3), *np.eye(3))]
 
-    yield _one(fit, *told(_best(fit, told, axes, 0.5)), more=ANY_VALUE)
+    def weights(gravity: Array) -> Array:
+        unit = gravity / np.linalg.norm(gravity)
+        return np.append(1 - unit.sum(), unit)
+
+    gravity = _best(_of_sums(fit, (), robots, weights), axes, 0.5)
+    fault = _mounted(fit, range(fit.robot.nv), gravity)
+    yield _one(fit, fault, more=ANY_VALUE)
 
 
 def _mounted(
@@ -1088,16 +1142,14 @@ _OF_VALUES: dict[str, tuple[str, Callable[..., Fault]]] = {
 
 def _zeros(fit: TorqueFit, j: int) -> Iterator[Installation]:
     """One joint at another zero position, counting or measuring torque the other way."""
+    robots = [fit.robot.with_zero(fit.robot.joints[j], x) for x in CIRCLE]
+    grid = np.arange(-np.pi, np.pi, SEARCH.step)
     for channels in ((), ("q", "dq"), ("tau",), ("q", "dq", "tau")):
         signs = [_sign(fit.log, j, channels)] * bool(channels)
-
-        def told(offset: Array) -> list[Fault]:
-            return [*signs, _zero(fit, [j], offset)]  # noqa: B023
-
-        grid = np.arange(-np.pi, np.pi, SEARCH.step)
-        free = _best(fit, told, grid[:, None], SEARCH.step)
+        unlikeness = _of_sums(fit, signs, robots, circle_weights)
+        free = _best(unlikeness, grid[:, None], SEARCH.step)
         right = SEARCH.right * np.round(free / SEARCH.right)
         if np.abs(free) > SEARCH.turn:
-            yield _one(fit, *told(free), more=ANY_VALUE)
+            yield _one(fit, *signs, _zero(fit, [j], free), more=ANY_VALUE)
         if right.any():
-            yield _one(fit, *told(right))
+            yield _one(fit, *signs, _zero(fit, [j], right))

@@ -367,10 +367,16 @@ def torque_fit(
 
 
 def _solve(A: Array, b: Array) -> Array:
-    """Solution of least norm of A x = b, A positive semidefinite, in scaled unknowns."""
+    """Solution of least norm of A x = b, (u,), A positive semidefinite, in scaled unknowns.
+
+    Unknowns without a column, as of links that a joint does not carry, are 0.
+    """
     d = np.sqrt(np.maximum(np.diag(A), 0.0))  # rounding leaves some below zero
-    d = np.where(d > 0, d, 1.0)
-    values, V = np.linalg.eigh(A / np.outer(d, d))
-    determined = values > _RANK_TOLERANCE * max(float(values[-1]), 1e-300)
+    live = np.flatnonzero(d)
+    d = d[live]
+    values, V = np.linalg.eigh(A[np.ix_(live, live)] / np.outer(d, d))
+    determined = values > _RANK_TOLERANCE * values.max(initial=1e-300)
     V = V[:, determined] / d[:, None]
-    return np.asarray(V @ ((V.T @ b).T / values[determined]).T, float)
+    x = np.zeros(len(b))
+    x[live] = V @ (V.T @ b[live] / values[determined])
+    return x

@@ -324,6 +324,8 @@ def recorded_motions(
         if len(motions) == len(recordings):
             return motions
     logs = as_recordings(recordings, robot)  # type: ignore[arg-type]
+    for log in logs:
+        identify.refuse_positions_beyond(robot, log)
     parts = [part for recording in logs for part in identify.prepare(recording)]
     return [part.motion[part.keep] for part in parts]
 

@@ -7,7 +7,7 @@ import io
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from os.path import isdir, isfile
@@ -24,10 +24,10 @@ from excitant.exceptions import (
 )
 from excitant.files import real_path, write_file
 from excitant.names import in_folder, listed, one_line, printable
-from excitant.options import Run
+from excitant.options import Data, Part, Run
 from excitant.processes import connect, processors, unordered
 from excitant.progress import Advance, progress_bar
-from excitant.recordings import diagnose, identify
+from excitant.recordings import diagnose_readings, identify_readings
 
 if TYPE_CHECKING:
     from excitant.analysis.fleet import Examined, Fleet, Value
@@ -209,19 +209,18 @@ def _examine(name: str, folder: str, out: str) -> str:
     stamp = _stamp(folder)
     if _noted(out).get("input") == stamp:
         return name
-    failed = _refusal(identify, folder, run=Run(output=f"{out}/identify"))
-    if not failed:
-        run = Run(output=f"{out}/diagnose")
-        failed = _refusal(diagnose, folder, run=run, experiments=False)
-    _note(out, stamp, failed)
+    _note(out, stamp, _refusal(folder, out))
     return name
 
 
-def _refusal(command: Callable[..., object], folder: str, **options: Any) -> str:
-    """Run a command; the line with which it was refused, empty where it has a result."""
+def _refusal(folder: str, out: str) -> str:
+    """Identify and diagnose; the line with which that was refused, empty where it was not."""
     try:
         with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
-            command(folder, **options)
+            read = Data().read(Part().dataset(folder, None), ())
+            identify_readings(read, Run(output=f"{out}/identify"))
+            run = Run(output=f"{out}/diagnose")
+            diagnose_readings(read, run, experiments=False)
     except Exception as error:
         if interrupt_in(error) is not None:
             raise KeyboardInterrupt from None

@@ -295,16 +295,28 @@ def identify(
     dataset = part.dataset(robot, data.map)
     others = [*(load.unloaded or ()), *(load.payload_recording or ())]
     read = data.read(dataset, recordings, others)
+    return identify_readings(read, run, data.cutoff, fit, model, load)
+
+
+def identify_readings(
+    read: Readings,
+    run: Run,
+    cutoff: float | None = None,
+    fit: Fit = Fit(),
+    model: Model = Model(),
+    load: Load = Load(),
+) -> int:
+    """The command `identify`, of recordings that are read."""
     arm = read.robot
     notes = list(read.notes)
     named = None if fit.automatic else ex.api.as_effects(fit.effects, arm)
-    options: dict[str, Any] = {"effects": named, "cutoff": data.cutoff}
+    options: dict[str, Any] = {"effects": named, "cutoff": cutoff}
     train = read.fit
     holdout = read.holdout
     drive = load.drive(
         read,
         train,
-        {"validate": holdout, "cutoff_hz": data.cutoff, "effects": named},
+        {"validate": holdout, "cutoff_hz": cutoff, "effects": named},
     )
     if drive is not None:
         train = drive.torque(train)
@@ -433,10 +445,30 @@ def diagnose(
     """
     dataset = part.dataset(robot, data.map)
     read = data.read(dataset, recordings)
+    return diagnose_readings(
+        read,
+        run,
+        data.cutoff,
+        experiments=experiments,
+        experiment_time=experiment_time,
+        force=force,
+    )
+
+
+def diagnose_readings(
+    read: Readings,
+    run: Run,
+    cutoff: float | None = None,
+    *,
+    experiments: bool = True,
+    experiment_time: float | None = None,
+    force: bool = False,
+) -> int:
+    """The command `diagnose`, of recordings that are read."""
     entries = read.entries
     with progress_bar("diagnose"), read.blamed():
         diagnosis = ex.diagnose(
-            read.robot, read.fit, validate=read.holdout, cutoff=data.cutoff
+            read.robot, read.fit, validate=read.holdout, cutoff=cutoff
         )
     plan = ex.analysis.Plan()
     notes = list(read.notes)
