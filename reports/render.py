@@ -8,7 +8,7 @@ from base64 import b64encode
 from collections.abc import Iterator, Sequence
 from functools import cache
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 from markupsafe import Markup, escape
 
@@ -30,6 +30,7 @@ from excitant.reports.values import NONE
 if TYPE_CHECKING:
     import jinja2
 
+_PAGE = "report.html.j2"
 _FIGURE = 14  # characters of a number in text
 _LABEL = 32
 _UNBROKEN = 24  # letters of a word that is never broken
@@ -61,7 +62,7 @@ def html(page: Page, saved: bool = True) -> str:
         *["uplot.min.js", "figures.js"] * drawn,
         *["three.js", "player.js"] * (Player in kinds),
     ]
-    template = page_template()
+    template = _environment().get_template(_PAGE)
     scripts = [_script(name) for name in names]
     return template.render(
         page=page, saved=saved, drawn=drawn, scripts=scripts, colours=COLOURS
@@ -89,14 +90,18 @@ def _template(name: str) -> str:
     return (files("excitant.reports") / "templates" / name).read_text("utf-8")
 
 
-def _template_of(block: Block) -> str:
-    """The template of a kind of block: one each, so that only those of a page are compiled."""
-    return f"{type(block).__name__.lower()}.html.j2"
+def load_templates() -> None:
+    """Compile all templates, each of which else is when a page has it first."""
+    for name in (_PAGE, *map(_template_of, get_args(Block))):
+        _environment().get_template(name)
+
+
+def _template_of(kind: type[Block]) -> str:
+    return f"{kind.__name__.lower()}.html.j2"
 
 
 @cache
-def page_template() -> jinja2.Template:
-    """The template of a page."""
+def _environment() -> jinja2.Environment:
     import jinja2
 
     environment = jinja2.Environment(
@@ -108,8 +113,8 @@ def page_template() -> jinja2.Template:
     )
     environment.filters["breakable"] = _breakable
     environment.filters["packed"] = packed
-    environment.filters["template"] = _template_of
-    return environment.get_template("report.html.j2")
+    environment.filters["template"] = lambda block: _template_of(type(block))
+    return environment
 
 
 def _breakable(words: str) -> Markup:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
@@ -104,6 +105,8 @@ def design(
             "--bound holds for one motion with equal noise; leave --noise and --after"
         )
     ex.design.require_playable(arm, **vars(play))
+    # an interrupted search ends the sooner
+    import_module("scipy.interpolate")
     ex.reports.prepare()
     if link_by_link:
         _design_link_by_link(arm, search, surroundings, play, run)
