@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -345,6 +345,7 @@ class Clearance:
     scale: float = 1.0  # of these bodies' distance
 
 
+@lru_cache(maxsize=8)
 def clearance(scene: Scene, path: Trajectory | HermiteTrajectory) -> Clearance:
     """Smallest distance over one period or between all samples, by branch and bound in time.
 

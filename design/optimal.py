@@ -26,6 +26,7 @@ from excitant.design.search import (
     Report,
     SearchState,
     best_solutions,
+    interrupted,
     search,
 )
 from excitant.design.trajectory import Trajectory, resting_series
@@ -154,11 +155,12 @@ def design_trajectory(
         few = replace(problem.series, harmonics=first.series.harmonics)
         begun = replace(problem, series=few)
         initial = begun.random(np.random.default_rng([asked.seed, 0]))
-    candidates = [
-        initial,
-        *map(problem.trajectory, best_solutions(searches, CANDIDATES)),
-    ]
-    chosen = best_within_limits(used, candidates, problem, clearance)
+    found = [*map(problem.trajectory, best_solutions(searches, CANDIDATES))]
+    chosen = None
+    if interrupted(searches):  # time is short
+        chosen = best_within_limits(used, found[:1], problem, clearance)
+    if chosen is None:
+        chosen = best_within_limits(used, [initial, *found], problem, clearance)
     wall_s = time.time() - began
     seen = replace(problem.information, robot=robot)
     return Design(

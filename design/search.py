@@ -175,13 +175,7 @@ Report = Callable[[DesignProblem, Sequence[SearchState]], None]
 
 
 def best_solutions(searches: Iterable[SearchState], count: int) -> list[Array]:
-    """Unknowns of the best that searches found within all limits, best first.
-
-    After an interrupt, which is to end soon, the first alone.
-    """
-    searches = tuple(searches)
-    if _interrupted(searches):
-        count = 1
+    """Unknowns of the best that searches found within all limits, best first."""
     solutions = sorted(
         (s.best_value, s.index, s.best) for s in searches if s.best is not None
     )
@@ -311,9 +305,9 @@ def _most_telling(
         loss = -np.inf if best is None else _value(searches) - _value(best.searches)
         if best is None or loss < -SERIES_CHOICE.gain:
             best = tried
-        elif _interrupted(searches):
+        elif interrupted(searches):
             best.interrupt()
-        if _interrupted(best.searches) or not loss < SERIES_CHOICE.clear_loss:
+        if interrupted(best.searches) or not loss < SERIES_CHOICE.clear_loss:
             break
     assert best is not None
     best.go_on(effort)
@@ -331,7 +325,7 @@ def _grow(
     while (
         gain > SERIES_CHOICE.gain
         and time.time() < effort.deadline
-        and not _interrupted(searches)
+        and not interrupted(searches)
     ):
         gain = 0.0
         for series in _larger(problem.series, asked):
@@ -347,7 +341,7 @@ def _grow(
                 searches = grown
                 break
     seeds = _seeds(problem, problem, searches)
-    if seeds and effort.starts is None and not _interrupted(searches):
+    if seeds and effort.starts is None and not interrupted(searches):
         searches = _MultiStart(problem, effort, seeds).run()
     return problem, searches
 
@@ -389,7 +383,8 @@ def _value(searches: Searches) -> float:
     return min((s.best_value for s in searches), default=np.inf)
 
 
-def _interrupted(searches: Searches) -> bool:
+def interrupted(searches: Searches) -> bool:
+    """Whether a signal ended them."""
     return any(s.status == "interrupted" for s in searches)
 
 
@@ -420,7 +415,7 @@ class _MultiStart:
 
     def run(self) -> Searches:
         """What was found by the end of the effort, from what there is already."""
-        if _interrupted(self.searches):
+        if interrupted(self.searches):
             return self.searches
         with self.interruptible():
             self.island(0)
