@@ -19,6 +19,7 @@ import pytest
 from excitant import fleets
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput
+from excitant.identify import faults
 from excitant.identify.dataset import origin
 from excitant.processes import connect, unordered
 from excitant.robots import load_robot
@@ -53,12 +54,14 @@ def made(folder: Path) -> dict[str, float]:
 
 
 @pytest.mark.slow
-def test_it_goes_on_where_it_was_and_names_what_is_broken(two: Path, here: Path, excitant: Any):
+def test_it_goes_on_where_it_was_and_names_what_is_broken(two, here, excitant, monkeypatch):
     shutil.copytree(two, here / "all")
     for name, target in (("twin", "arm0"), ("up", "..")):
         (here / "all" / name).symlink_to(target)
+    asked, find = list[Any](), faults.find_faults
+    monkeypatch.setattr(faults, "find_faults", lambda *log: asked.append(log) or find(*log))
     ran = excitant("fleet all --jobs 1 -o out --json")
-    assert ran.status == 0, ran.err
+    assert (ran.status, len(asked)) == (0, 3), ran.err  # once each
     _, sound, broken, lost = sets = ran.result["data_sets"]
     dated = [rf"{arm}/2026-03-01" for arm in ("arm0", r"arm\udce9", "broken")]
     assert [each["name"] for each in sets] == [*dated, "lost"]

@@ -244,7 +244,7 @@ def test_a_signal_waits_until_the_run_is_whole(number, tmp_path, monkeypatch):
     assert names(tmp_path) == OWN
 
 
-@pytest.mark.parametrize("place", [".", "..", "file", "file/run", "shut/run"])
+@pytest.mark.parametrize("place", [".", "..", "file", "file/run", "shut/run", "x" * 256])
 def test_a_folder_that_cannot_be_replaced_is_refused_before_the_work(place, tmp_path, monkeypatch):
     (tmp_path / "here" / "shut").mkdir(parents=True)
     (tmp_path / "here" / "file").write_text("x")

@@ -10,7 +10,7 @@ from seed import dd_arm, dd_arm_chain, dd_arm_parameters, dd_arm_tables, paramet
 from excitant.robots import DHChain, Motion, load_robot, rigid_body_torque
 from excitant.robots.dh import CONVENTIONS, robot_from_dh
 from excitant.robots.parameters import STANDARD, violations
-from excitant.robots.regressor import regressor
+from excitant.robots.regressor import CIRCLE, circle_weights, regressor
 
 
 def states(seed: int, n: int, nv: int) -> Motion:
@@ -38,6 +38,10 @@ def test_a_chain_needs_the_torque_of_the_recursion_there(random_chain, seed, nv,
     assert close(regressor(robot, motion) @ parameter_map(chain), M)
     for i in range(nv - 1):
         assert not M[:, i + 1 :, : 10 * i + 10].any()
+    for joint in np.array(robot.joints)[robot.revolute]:  # polynomials of its sine and cosine
+        five = [rigid_body_torque(robot.with_zero(joint, x), motion) for x in CIRCLE]
+        moved = np.tensordot(circle_weights(np.array([0.7])), five, 1)
+        assert close(moved, rigid_body_torque(robot.with_zero(joint, 0.7), motion))
     back = dh_from_robot(robot)
     assert close(matrix(back, motion) @ back.phi, tau)
     for one in (chain, back):
