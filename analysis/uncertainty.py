@@ -476,7 +476,7 @@ def recorded_experiment(
     sigma = fit.sigma * np.sqrt(fit.inflation)
     complete = estimate.base.columns == base.columns
     information = motion_information(
-        base, rows.W, sigma, fit.covariance if complete else None
+        base, rows.W, sigma, fit.uncertainty if complete else None
     )
     x = estimate.physical.x
     bodies = estimate.physical.prior.bodies

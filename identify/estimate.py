@@ -23,7 +23,6 @@ from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated, spoiled
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
-from excitant.identify.nearness import impossible_values
 from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.poses import (
     SHOWN,
@@ -68,6 +67,7 @@ from excitant.identify.rows import (
     units_of,
 )
 from excitant.identify.shapes import Shapes, refined_shapes, widened
+from excitant.identify.unmodelled import allowing_for_springs, impossible_values
 from excitant.robots.base_parameters import (
     BaseParameters,
     base_parameters,
@@ -378,8 +378,9 @@ def identify_robot(
         notes += (shapes.sentence,)
     fit, name, remarks = estimated(rows, fitted(recordings, validate), estimator)
     R, z = rows.regression.factor(fit.weight)
+    noise = _of_noise(rows, fit)
     if name in BIASED:
-        fit = _with_bias(rows, fit)
+        fit = _with_bias(rows, fit, noise)
     if name != "wls":
         z = R[:, rows.base.columns] @ fit.beta
     physical = fit_physical(
@@ -390,6 +391,9 @@ def identify_robot(
     if turns:
         spread = turning_spread(rows, fit, physical.covariance)
         fit, physical = widened(fit, physical, rows.base, spread)
+    if name != "irls":  # gross errors hide what else is in them
+        fit, physical, told = allowing_for_springs(rows, fit, physical, noise)
+        remarks += told
     estimate = judged(robot, rows, fit, physical, (*notes, *remarks))
     return replace(
         estimate,
@@ -424,21 +428,23 @@ def _of_poses(
     )
 
 
-def _with_bias(rows: FitRows, fit: LeastSquares) -> LeastSquares:
-    """The fit with its bias by noise of the motion, to first order, in its covariance."""
-    weight = 1 / fit.sigma
-    columns = rows.base.columns
-    score = attenuation(
+def _of_noise(rows: FitRows, fit: LeastSquares) -> Array:
+    """E[EᵀE] β of columns with errors E by noise of the motion, shape (r,)."""
+    return attenuation(
         rows.robot,
         rows.effects,
         rows.data.train,
         rows.used,
-        weight,
-        columns,
+        1 / fit.sigma,
+        rows.base.columns,
         fit.beta,
     )
-    R, _ = rows.reduced.factor(weight)
-    bias = np.linalg.solve(R.T @ R, score)
+
+
+def _with_bias(rows: FitRows, fit: LeastSquares, noise: Array) -> LeastSquares:
+    """The fit with its bias by noise of the motion, to first order, in its covariance."""
+    R, _ = rows.reduced.factor(1 / fit.sigma)
+    bias = np.linalg.solve(R.T @ R, noise)
     return replace(fit, covariance=fit.covariance + np.outer(bias, bias))
 
 
@@ -457,7 +463,7 @@ def judged(
     on gains that are not known has no standard deviation worth the name: it is NaN.
     """
     drive = rows.drive
-    widened = fit.covariance
+    widened = fit.uncertainty
     unknown = np.zeros(len(widened), bool)
     if drive is not None:
         pull = rows.by_gain(fit.weight)
@@ -514,12 +520,13 @@ def _of_parameters(rows: FitRows, fit: LeastSquares, base_std: Array) -> Array:
     std = np.full(len(base.names), np.nan)
     units = units_of(rows.robot, rows.effects, rows.drive)
     category = categories(base)
+    of_readings = np.sqrt(np.diag(fit.uncertainty))
     impossible = impossible_values(rows.robot, rows.effects, base, fit)
     for i, k in enumerate(base.columns):
         if category[k] == "unique" and i not in impossible:
             factor, _ = units[k]
             # amperes do not depend on the gain
-            std[k] = base_std[i] if factor == 1 else factor * fit.std[i]
+            std[k] = base_std[i] if factor == 1 else factor * of_readings[i]
     return std
 
 

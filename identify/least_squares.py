@@ -19,7 +19,7 @@ method for the coefficients), and an estimate over its standard deviation is Stu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -65,15 +65,24 @@ class LeastSquares:
         covariance: Its covariance, for noise as coloured as the residual, shape (r, r).
         sigma: Standard deviation of each joint's residual, shape (nv,) [torque unit].
         inflation: Rows of each joint that count as one independent row, at least 1, (nv,).
+        bias: Root of the second moment of its bias by what the model lacks, shape (r, k).
     """
 
     beta: Array
     covariance: Array
     sigma: Array
     inflation: Array
+    bias: Array | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         freeze(self, "beta", "covariance", "sigma", "inflation")
+
+    @property
+    def uncertainty(self) -> Array:
+        """Covariance with that of the bias, shape (r, r)."""
+        if self.bias is None:
+            return self.covariance
+        return self.covariance + self.bias @ self.bias.T
 
     @property
     def std(self) -> Array:

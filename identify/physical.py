@@ -23,6 +23,7 @@ import scipy
 from excitant.exceptions import BadInput
 from excitant.identify.knowledge import Knowledge, known_rows
 from excitant.identify.prior import (
+    LARGEST_SIGMA,
     BodyPrior,
     EffectPrior,
     largest_uncertainty,
@@ -81,6 +82,7 @@ class PhysicalFit:
         R: Factor of the whitened columns, shape (rows, p).
         root: L of the prior covariance L Lᵀ at the solution, shape (p, k); k < p with equalities.
         prior: Prior of the bodies.
+        undecided: Links that are far from nominal where a spring would explain the data as well.
     """
 
     x: Array
@@ -89,6 +91,7 @@ class PhysicalFit:
     root: Array
     prior: BodyPrior
     note: str = ""
+    undecided: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "x", "covariance", "R", "root")
@@ -197,7 +200,9 @@ def fit_program(
     return program, scale, centre
 
 
-def agreement(R: Array, z: Array, prior: Array) -> Array:
+def agreement(
+    R: Array, z: Array, prior: Array, terms: int = 0, own: Sequence[int] = ()
+) -> Array:
     """Relative uncertainty σ of each given body under which the data are most likely, (links,).
 
     Data z = R x + ε, ε of unit variance, with bodies normal around the prior and nothing known of
@@ -207,10 +212,15 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
     off: the last, which carries tools that descriptions lack, and others, one by one, counted
     against chance among as many links. No description is taken to be right to better than
     `Agreement.least`. Shapes as in `fit_physical`.
+
+    With the last columns of R, terms for each joint, a torque may act there beside the bodies: σ of
+    joints, its size in units of the columns, follow those of the links, 0 where the data call for
+    none. Some links, or joints counted after them, may have their own σ from the start.
     """
     links = len(prior)
-    blocks, residual = _deviations(R, z, prior)
-    largest = largest_uncertainty(prior)
+    blocks, residual = _deviations(R, z, prior, terms)
+    most = np.full(links, LARGEST_SIGMA / AGREEMENT.least)
+    largest = np.append(largest_uncertainty(prior), most)
 
     def most_likely(
         block: Array, others: Array, largest: float
@@ -247,20 +257,19 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
             sigma[group], least = most_likely(block, beside, largest[group].min())
         return least, sigma
 
-    chance = np.full(links, AGREEMENT.false_alarm / links)
-    chance[-1] = AGREEMENT.false_alarm
-    own = list[int]()
-    least, sigma = with_own(own, np.zeros(links))
-    while len(own) < links - 1:
-        common = [k for k in range(links) if k not in own]
+    chance = np.full(len(blocks), AGREEMENT.false_alarm / links)
+    chance[links - 1] = AGREEMENT.false_alarm
+    own = [*own]
+    least, sigma = with_own(own, np.zeros(len(blocks)))
+    while len(common := [k for k in range(links) if k not in own]) > 1:
         better = []
-        for k in common:
+        for k in range(len(blocks)):
+            if k in own:
+                continue
             value, trial = with_own([*own, k], sigma)
             significant = least - value > scipy.special.chdtri(1, chance[k])
-            if (
-                significant
-                and trial[k] > trial[[j for j in common if j != k]].max()
-            ):
+            others = [j for j in common if j != k]
+            if significant and (k >= links or trial[k] > trial[others].max()):
                 better.append((value, k, trial))
         if not better:
             break
@@ -269,21 +278,29 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
     return sigma
 
 
-def _deviations(R: Array, z: Array, prior: Array) -> tuple[Array, Array]:
+def _deviations(
+    R: Array, z: Array, prior: Array, terms: int
+) -> tuple[Array, Array]:
     """Columns of the links' coordinates and residual of nominal bodies, beyond all effects.
 
-    Shapes (links, rows, 10) and (rows,); without rows that no body moves, which tell no σ.
+    Those of joints follow, the last columns of R, terms each. Shapes (links, rows, 10) or, with
+    joints, (2 links, rows, 10), and (rows,); without rows that no body moves, which tell no σ.
     """
     p = R.shape[1]
     T = link_coordinates(prior)
     size = len(T)
+    joints = p - terms * len(prior)
     factor = triangle(np.column_stack([R, z]))[:p]
-    free = scipy.linalg.null_space(factor[:, size:p].T).T
+    free = scipy.linalg.null_space(factor[:, size:joints].T).T
     columns = free @ factor[:, :size] @ T / link_weights(len(prior), 1.0)
     residual = free @ (factor[:, p] - factor[:, :size] @ prior.ravel())
+    if terms:
+        more = (free @ factor[:, joints:p]).reshape(len(free), -1, terms)
+        padded = np.pad(more, ((0, 0), (0, 0), (0, 10 - terms)))
+        columns = np.column_stack([columns, padded.reshape(len(free), -1)])
     U, s, _ = np.linalg.svd(columns, full_matrices=False)
     U = U[:, s > _ROUNDING * max(s[:1], default=1.0)]
-    blocks = (U.T @ columns).reshape(U.shape[1], len(prior), 10)
+    blocks = (U.T @ columns).reshape(U.shape[1], columns.shape[1] // 10, 10)
     return blocks.swapaxes(0, 1), U.T @ residual
 
 

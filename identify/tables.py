@@ -9,17 +9,20 @@ import numpy as np
 
 from excitant.identify.accuracy import Coverage, coverage, worse_joints
 from excitant.identify.friction import curves_over_velocity, friction_curves
-from excitant.identify.nearness import LARGE_CHANGE, impossible_values, link_lengths
 from excitant.identify.prior import decided_by
 from excitant.identify.rows import states, units_of
+from excitant.identify.unmodelled import impossible_values
 from excitant.robots.base_parameters import categories
 from excitant.robots.effects import effect_values
 from excitant.robots.motion import Array
 from excitant.robots.parameters import UNITS, inertia, violations
+from excitant.robots.robot import Robot
 
 if TYPE_CHECKING:
     from excitant.identify.estimate import Estimate
 
+LARGE_CHANGE = 0.5
+"""Of a nominal mass or of a link's length: it is named."""
 SMALLEST_SHIFT = 0.01  # of a centre of mass [m]: a smaller one is not named
 SURE_STDS = 2.0  # standard deviations by which a first moment must be off
 _DECIDED_BY = {  # from the surest to the least sure
@@ -35,7 +38,7 @@ def body_changes(estimate: Estimate) -> list[dict[str, Any]]:
     ``moved`` says in words what differs by half of the given mass or of the link's length; None
     where nothing does, or where currents were recorded and no drive gain is known.
     """
-    who = decided_by(estimate.physical.influence, categories(estimate.base))
+    who = _deciders(estimate)
     drive = estimate.drive
     known = drive is None or bool(drive.known.any())
     bodies = estimate.physical.prior.bodies
@@ -77,6 +80,22 @@ def body_changes(estimate: Estimate) -> list[dict[str, Any]]:
     return entries
 
 
+def link_lengths(robot: Robot, bodies: Array) -> Array:
+    """Lengths of links with these bodies, shape (nv, 10), each the longest of three, (nv,) [m].
+
+    From the joint to the next one, to the centre of mass, or the radius of gyration.
+    """
+    places = list(robot.model.jointPlacements)
+    lengths = []
+    for k, phi in enumerate(bodies):
+        body = inertia(phi)
+        next_joint = [place.translation for place in places[k + 2 : k + 3]]
+        radius = np.sqrt(np.trace(body.inertia) / 2 / body.mass)
+        ends = (np.linalg.norm(end) for end in (body.lever, *next_joint))
+        lengths.append(max(radius, *ends))
+    return np.array(lengths)
+
+
 def _shown_with(estimate: Estimate, k: int) -> str:
     """By how much the simplest sum is off the given one that holds the mass of a link, in words.
 
@@ -103,6 +122,17 @@ def _shown_with(estimate: Estimate, k: int) -> str:
         f"; {base.expressions[i]} is off by {excess[i]:+.3g} ± {std[i]:.1g} {unit}, "
         f"as {alone} of this link alone would be"
     )
+
+
+def _deciders(estimate: Estimate) -> list[str]:
+    """Who decided each parameter: of links that a spring may have moved, not the data alone."""
+    who = decided_by(estimate.physical.influence, categories(estimate.base))
+    undecided = estimate.physical.undecided
+    owners = (name.rpartition(".")[0] for name in estimate.base.names)
+    pairs = zip(who, owners, strict=True)
+    return [
+        "both" if by == "data" and owner in undecided else by for by, owner in pairs
+    ]
 
 
 def result_of(estimate: Estimate) -> dict[str, Any]:
@@ -202,7 +232,7 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
     nominal = [*robot.phi, *(values.get(p.name) for p in coefficients)]
     prior = [*physical.prior.bodies.ravel(), *(None,) * len(coefficients)]
     category = categories(estimate.base)
-    who = decided_by(physical.influence, category)
+    who = _deciders(estimate)
     units = units_of(robot, effects, estimate.drive)
     entries = []
     for k, by in enumerate(who):

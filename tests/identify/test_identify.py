@@ -226,6 +226,19 @@ def test_one_link_that_is_wrong_spoils_no_other(ur10: Robot, nominal: list[Recor
     assert [name in told for name in ur10.links] == [k == link for k in range(ur10.nv)]
 
 
+@pytest.mark.parametrize("pull", [lambda q: 30.0 * q, lambda q: 150.0 * np.cos(q)])
+def test_a_spring_opens_the_intervals_of_what_it_is_taken_for(pull: Call, ur10, nominal) -> None:
+    """A linear one, which errors show, and one as gravity's torque: the bodies speak for it."""
+    lift = np.arange(6) == 1
+    runs = [replace(run, tau=run.tau + lift * pull(run.q)) for run in nominal]
+    without, found = identified(ur10, nominal), identified(ur10, runs)
+    off = np.abs(found.least_squares.beta - without.least_squares.beta)
+    assert (off > 10 * without.base_std).any()
+    assert (off < 3 * found.base_std).all()
+    told = [sum("counterbalance" in note for note in each.notes) for each in (without, found)]
+    assert told == [0, 1]
+
+
 def test_real_ur10_is_no_worse_than_the_reference(data_folder: Path) -> None:
     dataset = load_dataset(data_folder / "ur10")
     found = identify_robot(dataset.robot, dataset.recordings([]))
