@@ -71,7 +71,7 @@ def allowing_for_springs(
     E of the columns is noise, shape (r,); see `attenuation`.
     """
     robot = rows.robot
-    seen = _seen(rows, fit, noise)
+    seen, noisy = _seen(rows, fit, noise)
     sigma = np.broadcast_to(physical.prior.sigma, robot.nv)
     moved = sigma > sigma.min()
     # at the last link, a tool that the description lacks
@@ -79,7 +79,7 @@ def allowing_for_springs(
         return fit, physical, ()
     end = rows.regression.p
     wide = _with_all_terms(rows)
-    R, z = wide.factor(fit.weight)
+    R, z = wide.factor(noisy.weight)
     bodies = physical.prior.bodies
     own = [robot.nv + j for j in seen]
     of_links, of_joints = np.split(agreement(R, z, bodies, len(TERMS), own), 2)
@@ -184,10 +184,13 @@ def _with_all_terms(rows: FitRows) -> Regression:
     return rows.regression.with_columns(columns.reshape(*q.shape, -1), names)
 
 
-def _seen(rows: FitRows, fit: LeastSquares, noise: Array) -> dict[int, str]:
+def _seen(
+    rows: FitRows, fit: LeastSquares, noise: Array
+) -> tuple[dict[int, str], LeastSquares]:
     """Joints whose errors show a linear spring beyond chance, with its stiffness in words.
 
     One after the other, the surest first: by the errors of the fit, then fitted with the others.
+    The fit with all of them is the second value: its noise is without their torque.
     """
     robot = rows.robot
     r = len(fit.beta)
@@ -197,10 +200,10 @@ def _seen(rows: FitRows, fit: LeastSquares, noise: Array) -> dict[int, str]:
     chance = -float(scipy.special.ndtri(FALSE_ALARM / (2 * robot.nv)))
     noise = noise * len(thin) / len(wide)
     at = [*range(r)]
-    beta = fit.beta
     found = dict[int, str]()
+    best = fit
     while len(found) < robot.nv:
-        scores, bias = _alone(thin, at, beta, fit.sigma, noise)
+        scores, bias = _alone(thin, at, best.beta, fit.sigma, noise)
         surest = int(np.argmax(np.abs(scores)))
         if not abs(scores[surest]) > chance:
             break
@@ -209,14 +212,15 @@ def _seen(rows: FitRows, fit: LeastSquares, noise: Array) -> dict[int, str]:
             wider = weighted_least_squares(wide.select(at))
         except RankDeficient:
             break
-        beta = wider.beta
+        stiffness = wider.beta[-1]
         std = float(np.hypot(wider.std[-1], bias[surest]))
-        if not abs(beta[-1]) > chance * std:
+        if not abs(stiffness) > chance * std:
             break
+        best = wider
         j = surest - r
         per = f"{robot.torque_unit(joint=j)}/{'rad' if robot.revolute[j] else 'm'}"
-        found[j] = f", {beta[-1]:.3g} ± {std:.2g} {per}"
-    return found
+        found[j] = f", {stiffness:.3g} ± {std:.2g} {per}"
+    return found, best
 
 
 def _alone(
