@@ -288,7 +288,7 @@ REFUSED = {
     "design planar_2r --link-by-link --noise 1,1": "leave --noise out",
     "design planar_2r --link-by-link --from 0,0": "leave --from out",
     "design planar_2r --link-by-link --after run.csv": "leave --after out",
-    "design planar_2r --after far.csv": "far.csv: q of joint1 leaves",
+    "design planar_2r --after far.csv": "far.csv: q of joint1, joint2 leaves",
     "check planar_2r broken.csv": "broken.csv",
     "show ur10 trajectory.csv -o page.html": "trajectory.csv: 2 joint columns",
     "show ur10 trajectory.json -o page.html": "has 2 joints, but ur10 has 6",
@@ -391,12 +391,9 @@ def test_a_failure_is_owned_in_one_line(refused: Any, monkeypatch: Any) -> None:
             main(words.split())
 
 
-def test_too_little_memory_is_no_bug(refused: Any, monkeypatch: Any) -> None:
+def test_neither_too_little_memory_nor_closed_streams_are_a_bug(refused, monkeypatch, here) -> None:
     monkeypatch.setattr("excitant.identify_robot", mock.Mock(side_effect=MemoryError()))
     assert "memory of this machine does not suffice" in refused(f"{ONE} -o out", status=1)
-
-
-def test_closed_streams_are_as_if_nobody_looked(here: Path) -> None:
     words = f"{sys.executable} -m excitant {ONE} -o out 0<&- 1>&- 2>&-"
     assert subprocess.run(words, shell=True).returncode in (0, 1)
     assert (here / "out" / "report.html").exists()

@@ -160,12 +160,9 @@ def test_installed_requirements_agree(project: dict[str, Any]) -> None:
         assert requirement.specifier.contains(version), f"{requirement}: installed {version}"
 
 
-def test_wheel_is_complete_and_small(wheel: Path) -> None:
+def test_wheel_is_complete_and_small_and_says_its_licence_and_command(wheel: Path) -> None:
     assert contents(wheel) == shipped()
     assert wheel.stat().st_size <= 5_000_000
-
-
-def test_wheel_says_its_licence_and_command(wheel: Path) -> None:
     """And that of the library that it bundles."""
     with zipfile.ZipFile(wheel) as archive:
         info = next(n.split("/")[0] for n in archive.namelist() if ".dist-info/" in n)

@@ -166,9 +166,6 @@ def test_a_trend_is_not_judged_on_a_motion_that_hardly_repeats() -> None:
     s = Segment("run", m, 0 * m.q, 0 * m.q, CUTOFF, slice(None))
     by = residuals.explanatory([s], 0 * m.q)
     assert "time" not in residuals.shares(np.linspace(-1, 1, len(m)), by, 0, np.ones(len(m), bool))
-
-
-def test_the_lowest_frequency_of_a_motion() -> None:
     assert BY.lowest_hz[0] == pytest.approx(HARMONICS_HZ[0], abs=0.05)
 
 

@@ -75,15 +75,13 @@ def test_torque_limit_alone_gives_the_bang_bang_time_of_a_free_inertia(planar: R
     assert exact * (1 - 1e-4) <= duration <= 1.01 * exact
 
 
-def test_viscous_friction_limits_the_speed_that_a_torque_limit_allows(planar: Robot) -> None:
+def test_viscous_friction_or_the_default_acceleration_limits_the_speed(planar: Robot) -> None:
     """Far from the ends the speed is v = (τ − F_c) / F_v, without gravity."""
     robot = limited(planar.with_gravity(np.zeros(3)), **FREE | {"torque": (2.0, np.inf)})
     Fv, Fc = (effect.values[0] for effect in robot.effects[:2] if effect.values)
     motion = approach(robot, [-20, 0], [20, 0])
     assert motion.dq[:, 0].max() == pytest.approx((2.0 - Fc) / Fv, rel=5e-3)
-
-
-def test_without_any_limit_the_default_acceleration_holds(planar: Robot) -> None:
+    # without any limit, the default acceleration holds
     duration = approach(limited(planar, **FREE), [0, 0], [1.0, 0], rate_hz=1000.0).t[-1]
     assert duration == pytest.approx(2 * np.sqrt(1.0 / 10.0), rel=0.01)
 

@@ -31,14 +31,11 @@ def test_gradients_of_the_entries_by_differences() -> None:
     np.testing.assert_allclose(tables.gradients(phi) @ step, (ahead - behind) / 2, atol=atol)
 
 
-def test_least_squares_recovers_every_base_parameter(found: benchmark.Recovery) -> None:
+def test_base_parameters_and_what_the_data_decide_are_the_truth(found: benchmark.Recovery) -> None:
     z = np.abs(found.beta - found.beta_true) / found.beta_std
     assert len(z) == 32 + 12
     assert z.max() < 4.5
     assert (z < 1.96).sum() >= binom.ppf(1e-3, len(z), 0.95)
-
-
-def test_what_the_data_decide_is_the_truth(found: benchmark.Recovery) -> None:
     decided = [e for e in found.entries if e.decided_by == "data"]
     assert len(decided) >= 7
     assert [e.entry.name for e in decided if abs(e.value - e.truth) >= 4 * e.std] == []

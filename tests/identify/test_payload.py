@@ -307,6 +307,8 @@ def test_the_payloads_own_uncertainty_counts_and_one_too_small_is_refused() -> N
     with pytest.raises(BadInput, match=r"hardly show.*use a heavier payload"):
         b.found(KnownPayload(1e-4), 10, b.with_payload(small), 0.05)
     refused("hardly show", b.found, PAYLOADS[1], 10, b.bare, error=BadInput)  # nothing is carried
+    for mass, std in ((0.0, 0.0), (np.nan, 0.0), (1.0, -1.0)):
+        refused("mass above 0 kg and a standard deviation", KnownPayload, mass, std, error=BadInput)
 
 
 @pytest.mark.slow
@@ -323,11 +325,6 @@ def test_gains_by_given_masses_are_within_their_deviations(monkeypatch) -> None:
     assert np.mean(np.abs(errors) < 1.96) > 0.9
     monkeypatch.setattr("excitant.identify.drive_gains._common", lambda *_: 0.0)
     np.testing.assert_allclose(current_gains(given, W, currents).gains, found.gains, rtol=1e-4)
-
-
-@pytest.mark.parametrize(("mass", "std"), [(0.0, 0.0), (np.nan, 0.0), (1.0, -1.0)])
-def test_payloads_that_cannot_be(mass: float, std: float) -> None:
-    refused("mass above 0 kg and a standard deviation", KnownPayload, mass, std, error=BadInput)
 
 
 def test_recordings_of_currents_become_torques(tmp_path: Path, excitant: Call) -> None:

@@ -61,25 +61,19 @@ def test_page_opens_alone_and_without_complaint(opened, file):
     assert opened.said == []
 
 
-def test_page_is_no_wider_than_the_window(opened):
+def test_page_is_no_wider_than_the_window_and_what_matters_comes_first(opened):
     wide, window = opened.page.evaluate(asked("size"))
     assert wide <= window
     parts = "h1, h2, h3, p, li, figure, .panel, .scroll, dl"
     assert opened.page.evaluate(asked("outside"), parts) == []
-
-
-def test_what_matters_comes_before_the_first_fold(opened):
     if opened.page.viewport_size["width"] == 1200:
         assert opened.fold <= SCREENS * 900
 
 
-def test_no_name_is_broken_within_a_word(opened):
+def test_no_name_is_broken_within_a_word_and_text_stands_out_from_its_ground(opened):
     seen, broken = opened.page.evaluate(asked("broken"))
     assert seen > 0 or "_" not in opened.page.locator("main").inner_text()
     assert broken == []
-
-
-def test_text_stands_out_from_its_ground(opened):
     seen, poor = opened.page.evaluate(asked("contrast"))
     assert seen > 20
     assert poor == {}

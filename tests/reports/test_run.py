@@ -62,14 +62,11 @@ def test_saved_run_is_what_was_given_and_renders_to_the_same_page(run, tmp_path)
     assert (tmp_path / "run/summary.txt").read_text("utf-8") == summary(page)
 
 
-def test_values_become_plain_json():
+def test_values_become_plain_json_and_time_since_the_epoch_keeps_its_resolution(tmp_path):
     odd = {"b": np.float64("nan"), "a": np.inf, "n": np.int64(3), "yes": np.bool_(True)}
     odd |= {"list": np.array([1.0, np.nan]), "tuple": (1, Path("a/b"))}
     plain = {"b": None, "a": None, "n": 3, "yes": True, "list": [1.0, None], "tuple": [1, "a/b"]}
     assert as_saved(odd, {})[0] == plain
-
-
-def test_time_since_the_epoch_keeps_its_resolution(tmp_path):
     t = 1.7e9 + np.arange(5000) * 1e-3
     save_run(tmp_path, IDENTIFY, {"t": t})
     np.testing.assert_array_equal(load_run(tmp_path)[1]["t"], t)

@@ -211,11 +211,6 @@ def test_torque_gain_is_a_share_of_all_torque_but_its_own(rubbing: Robot) -> Non
         np.testing.assert_allclose(tau, gain * rigid_body_torque(rubbing, motion)[:, 1], rtol=1e-12)
 
 
-def derivatives(x: np.ndarray, step: float) -> tuple[np.ndarray, ...]:
-    rate = np.gradient(x, step, axis=0)
-    return x, rate, np.gradient(rate, step, axis=0)
-
-
 def yielding(robot: Robot, motion: Motion, j: int, compliance: float) -> np.ndarray:
     """Torque of the bodies where one link lags by c τ, derivatives from a quintic spline."""
     lag = compliance * np.outer(rigid_body_torque(robot, motion)[:, j], np.eye(robot.nv)[j])
@@ -237,8 +232,9 @@ def test_noise_of_positions_does_not_hide_elasticity(ur10: Robot) -> None:
     joint, true = fx.JointElasticity((ur10.joints[j],)), swinging(ur10, t)
     noise = np.random.default_rng(0).normal(0, 2e-5, true.q.shape)
     b = scipy.signal.butter(4, 20.0, fs=125.0, output="sos")
-    q, dq, ddq = (scipy.signal.sosfiltfilt(b, x, axis=0) for x in derivatives(noise, 0.008))
-    seen = Motion(t, true.q + q, true.dq + dq, true.ddq + ddq)
+    q = scipy.signal.sosfiltfilt(b, noise, axis=0)
+    dq = np.gradient(q, 0.008, axis=0)
+    seen = Motion(t, true.q + q, true.dq + dq, true.ddq + np.gradient(dq, 0.008, axis=0))
     column, clean = (joint.columns(ur10, x)[60:-60, j, 0] for x in (seen, true))
     assert np.std(column - clean) < 0.1 * np.std(clean)
 
