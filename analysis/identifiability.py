@@ -31,7 +31,7 @@ from excitant.names import listed
 from excitant.results import Category, ParameterIdentifiability, Practical
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Motion, freeze, read_only
+from excitant.robots.motion import Array, Motion, Noun, read_only
 from excitant.robots.parameters import UNITS, moved_parameters
 from excitant.robots.robot import Robot
 from excitant.robots.shown import Shown, Table, data_frame
@@ -46,7 +46,7 @@ LISTED = 8  # parameters listed in a sentence
 
 
 @dataclass(frozen=True, eq=False)
-class PracticalIdentifiability:
+class PracticalIdentifiability(Noun):
     """Practical identifiability of an arm by one motion or recording."""
 
     condition_number: (
@@ -60,9 +60,6 @@ class PracticalIdentifiability:
     resting: tuple[str, ...]  # joints that do not move
     basis: str  # where the standard deviations come from, as a sentence
     persistency: WindowExcitation | None  # None when not all torques are measured
-
-    def __post_init__(self) -> None:
-        freeze(self, "singular_values", "noise")
 
     def result(self) -> dict[str, Any]:
         """Everything as plain values."""

@@ -27,7 +27,7 @@ from excitant.robots.base_parameters import (
     structural_motion,
 )
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion, Noun
 from excitant.robots.robot import Robot
 
 MARGIN = 1e3  # factor on the tolerance that must not change a category
@@ -37,7 +37,7 @@ LISTED = 6  # parameters, or members of a vector, that are spelt out
 
 
 @dataclass(frozen=True, eq=False)
-class Structure:
+class Structure(Noun):
     """Structural identifiability of each parameter, under stated circumstances."""
 
     base: BaseParameters  # of links and effects
@@ -53,9 +53,6 @@ class Structure:
     singular_vectors: Array
     # of the links, in their joint frames, (nv, 4, 4); those when None
     frames: Array | None = None
-
-    def __post_init__(self) -> None:
-        freeze(self, "margin", "flips_at", "singular_values", "singular_vectors")
 
     def decomposition(self) -> dict[str, Any]:
         """Frames and, in those of Denavit and Hartenberg, singular values and vectors in words."""

@@ -17,7 +17,7 @@ from excitant.identify.least_squares import (
 )
 from excitant.identify.preprocessing import Mask, Segment, away_from_rest
 from excitant.identify.signals import noise
-from excitant.robots.motion import Array, freeze, read_only
+from excitant.robots.motion import Array, Noun, read_only
 
 if TYPE_CHECKING:
     from excitant.identify.rows import Poses
@@ -38,7 +38,7 @@ CHANCE_OF_LOSS = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Accuracy:
+class Accuracy(Noun):
     """Prediction errors per joint at rows where it moves, each of shape (nv,).
 
     Attributes:
@@ -56,9 +56,6 @@ class Accuracy:
     r2: Array
     rms_all: Array
     judged: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, *vars(self))
 
     def entry(self, joint: int) -> dict[str, Any]:
         """Figures of one joint under their JSON names."""

@@ -56,7 +56,7 @@ from excitant.identify.prior import (
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Index, Regression, triangle
 from excitant.identify.signals import live
-from excitant.robots.motion import Array, freeze
+from excitant.robots.motion import Array, Noun
 from excitant.robots.robot import Robot
 
 GAIN_STD = 0.5  # relative, of drives of one arm: decides only what data leave open
@@ -83,7 +83,7 @@ _IN_AMPERES = (
 
 
 @dataclass(frozen=True, eq=False)
-class DriveGains:
+class DriveGains(Noun):
     """Torque per ampere of every joint, from the given masses or from a known payload.
 
     Attributes:
@@ -97,9 +97,6 @@ class DriveGains:
     covariance: Array
     possible: Array | float = np.inf
     payload: bool = False
-
-    def __post_init__(self) -> None:
-        freeze(self, "gains", "covariance")
 
     @property
     def std(self) -> Array:

@@ -29,7 +29,7 @@ from excitant.identify.prior import (
 from excitant.identify.rows import effects_of
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion, Noun
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
 
@@ -43,7 +43,7 @@ _VISIBLE = (
 
 
 @dataclass(frozen=True, eq=False)
-class WindowExcitation:
+class WindowExcitation(Noun):
     """Excitation in a window of a motion, from start to end [s]."""
 
     start: float
@@ -57,9 +57,6 @@ class WindowExcitation:
     shown: int = 0
     # base parameters of links and effects, whether a motion can show them
     combinations: int = 0
-
-    def __post_init__(self) -> None:
-        freeze(self, "levels")
 
     @property
     def level(self) -> float:

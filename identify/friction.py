@@ -10,7 +10,7 @@ import numpy as np
 
 from excitant.identify.rows import states, told, units_of
 from excitant.robots.effects import Parameter
-from excitant.robots.motion import Array, freeze
+from excitant.robots.motion import Array, Noun
 
 if TYPE_CHECKING:
     from excitant.identify.estimate import Estimate
@@ -19,7 +19,7 @@ _POINTS = 100  # of a curve, an even number: none is at rest
 
 
 @dataclass(frozen=True, eq=False)
-class FrictionCurve:
+class FrictionCurve(Noun):
     """Friction of one joint by its velocity alone, all such effects together.
 
     Attributes:
@@ -39,9 +39,6 @@ class FrictionCurve:
     velocity: Array
     torque: Array
     half_width: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "velocity", "torque", "half_width")
 
     def entry(self) -> dict[str, Any]:
         """What is not an array, for ``result.json``."""

@@ -14,22 +14,19 @@ import numpy.typing as npt
 import scipy
 from scipy.linalg import lapack
 
-from excitant.robots.motion import Array, freeze
+from excitant.robots.motion import Array, Noun
 
 TOGETHER = 8  # rows that are taken at once
 _PANEL = 8  # columns that LAPACK takes at a time
 
 
 @dataclass(frozen=True, eq=False)
-class Information:
+class Information(Noun):
     """R x ≈ z of unit noise, beside a part ρ that no x explains."""
 
     R: Array  # upper triangular, possibly singular, shape (p, p)
     z: Array  # shape (p,)
     rest: float = 0.0  # ρ²
-
-    def __post_init__(self) -> None:
-        freeze(self, "R", "z")
 
     def squares(self, x: Array) -> float:
         """‖A x − b‖² of all rows behind it."""

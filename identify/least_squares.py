@@ -28,7 +28,7 @@ import scipy
 
 from excitant.exceptions import RankDeficient
 from excitant.identify.regression import Regression, triangle
-from excitant.robots.motion import Array, freeze
+from excitant.robots.motion import Array, Noun
 
 SMALLEST = 1e-12  # torque noise taken for none
 
@@ -57,7 +57,7 @@ NOISE = NoiseSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class LeastSquares:
+class LeastSquares(Noun):
     """Weighted least-squares estimate.
 
     Attributes:
@@ -73,9 +73,6 @@ class LeastSquares:
     sigma: Array
     inflation: Array
     bias: Array | None = field(default=None, kw_only=True)
-
-    def __post_init__(self) -> None:
-        freeze(self, "beta", "covariance", "sigma", "inflation")
 
     @property
     def uncertainty(self) -> Array:

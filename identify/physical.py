@@ -41,7 +41,7 @@ from excitant.identify.semidefinite import (
     solve,
 )
 from excitant.identify.signals import grid_minimum
-from excitant.robots.motion import Array, freeze, read_only
+from excitant.robots.motion import Array, Noun, read_only
 
 _UNSETTLED = (
     "the physically consistent fit ends {:.2g} standard deviations from its optimum, for the data "
@@ -72,7 +72,7 @@ AGREEMENT = Agreement()
 
 
 @dataclass(frozen=True, eq=False)
-class PhysicalFit:
+class PhysicalFit(Noun):
     """Physically consistent estimate.
 
     Attributes:
@@ -92,9 +92,6 @@ class PhysicalFit:
     prior: BodyPrior
     note: str = ""
     undecided: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        freeze(self, "x", "covariance", "R", "root")
 
     @property
     def prior_share(self) -> Array:

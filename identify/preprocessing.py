@@ -34,7 +34,7 @@ from excitant.identify.signals import (
     smoothed,
 )
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Motion, freeze, read_only
+from excitant.robots.motion import Array, Motion, Noun, read_only
 
 CUTOFF_HZ = 10.0  # above the motions of arms, below their structural resonances
 POSITION_RATIO = 2.0  # positions keep what the torque filter will judge
@@ -101,7 +101,7 @@ Index = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
-class Segment:
+class Segment(Noun):
     """An uninterrupted part of a recording at a regular rate, ready for the regressor.
 
     Attributes:
@@ -123,9 +123,6 @@ class Segment:
     keep: slice
     sensors: SensorNoise | None = None
     whole: bool = False
-
-    def __post_init__(self) -> None:
-        freeze(self, "tau", "tau_raw")
 
     @property
     def rate_hz(self) -> float:

@@ -35,7 +35,7 @@ from excitant.exceptions import BadRobot
 from excitant.identify.information import Information, gaussian
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion, Noun
 from excitant.robots.parameters import (
     PLACEHOLDER,
     PSEUDO_INERTIA_BASIS,
@@ -234,14 +234,11 @@ class EffectPrior:
 
 
 @dataclass(frozen=True, eq=False)
-class BasePrior:
+class BasePrior(Noun):
     """Normal distribution of the base parameters: mean, shape (r,), covariance (regular)."""
 
     mean: Array
     covariance: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "mean", "covariance")
 
     def information(self) -> Information:
         """The same in square-root form."""

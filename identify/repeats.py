@@ -38,7 +38,7 @@ from excitant.identify.preprocessing import Mask, Segment, certain_rows
 from excitant.identify.regression import Regression, regression_of
 from excitant.identify.rows import FitRows
 from excitant.robots.effects import EFFECTS, Effect, Size
-from excitant.robots.motion import Array, freeze
+from excitant.robots.motion import Array, Noun
 from excitant.robots.robot import Robot
 
 FALSE_ALARM = 0.01  # of recordings of one arm, called different
@@ -69,7 +69,7 @@ STEPS = 3  # Gauss-Newton steps of an angle: columns are its first derivatives
 
 
 @dataclass(frozen=True, eq=False)
-class Repeats:
+class Repeats(Noun):
     """Whether recordings agree.
 
     Attributes:
@@ -85,9 +85,6 @@ class Repeats:
     deviation: Array
     chance: float
     spread: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "deviation", "spread")
 
     @property
     def differ(self) -> bool:

@@ -54,7 +54,7 @@ from excitant.robots.base_parameters import (
     last_rows,
 )
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, freeze
+from excitant.robots.motion import Array, Noun
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 
@@ -67,7 +67,7 @@ NEGLIGIBLE_STDS = 0.05  # of a combination: terms that matter less are not writt
 
 
 @dataclass(frozen=True, eq=False)
-class Cascade:
+class Cascade(Noun):
     """Estimate of the r base parameters after the stages so far."""
 
     mean: Array  # β₀, shape (r,)
@@ -75,9 +75,6 @@ class Cascade:
     D: Array  # directions known, orthonormal, shape (r, k)
     c: Array  # their values, shape (k,)
     P: Array  # their covariance, shape (k, k)
-
-    def __post_init__(self) -> None:
-        freeze(self, "mean", "L", "D", "c", "P")
 
     @property
     def beta(self) -> Array:

@@ -30,7 +30,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion, Noun
 
 BUTTERWORTH_ORDER = 4  # of the filter, each way
 MEMORY_PERIODS = 6.0  # periods of its cut-off, after which the filter has forgotten
@@ -201,7 +201,7 @@ def _gaps(x: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class SensorNoise:
+class SensorNoise(Noun):
     """Noise of positions and speeds as sampled, each shape (nv,).
 
     Attributes:
@@ -215,9 +215,6 @@ class SensorNoise:
     position: Array
     speed: Array
     step: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "position", "speed", "step")
 
     @property
     def crossover_hz(self) -> Array:
