@@ -326,6 +326,7 @@ def _reservation(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     joints = {joint for f in group for joint in f.effect.joints}
     open_at = {joint for f in group if f.rivals for joint in f.effect.joints}
     count = "all" if open_at == joints else str(len(open_at))
+    where = f"{count} of these joints" if len(joints) > 1 else min(joints)
     name = plain(rivals.most_common(1)[0][0])
     other = name if len(rivals) == 1 else f"another effect, such as {name},"
-    return f" At {count} of these joints, {other} would look the same."
+    return f" At {where}, {other} would look the same."
