@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from excitant.robots.effects import experiments as by
 from excitant.robots.effects.base import (
@@ -30,8 +31,10 @@ RIPPLE_CANDIDATES = 3  # orders at each joint, the best of all
 MOST_ORDERS = 600
 ORDERS_AT_ONCE = 30  # which fit into the processor's cache
 SPECTRUM = 256  # samples of each stretch of which power is averaged
-NOISE_BAND = 4  # times a frequency, up to which noise lies above it
-NOISE_RISE = 3.0  # times the power at that frequency, which noise exceeds
+NOISE_BAND, NOISE_RISE = (
+    4.0,
+    3.0,
+)  # times a frequency, and its power, that noise exceeds
 SLOW_RIPPLE = 3.0  # periods per turn, below which a ripple is as smooth as a spring
 DEPENDENT = 1e-8  # determinant of two unit columns of which nothing is left
 SLOWEST_MEDIAN = 1e-3  # rad/s
@@ -302,17 +305,13 @@ def _load(robot: Robot, motion: Motion, j: int) -> Array:
     tau: Array = rigid_torque(robot, motion)[:, j]
     if len(tau) < SPECTRUM:
         return tau
-    count = len(tau) // SPECTRUM
-    parts = tau[: count * SPECTRUM].reshape(count, SPECTRUM)
-    parts = (parts - parts.mean(axis=1, keepdims=True)) * np.hanning(SPECTRUM)
-    power = (np.abs(np.fft.rfft(parts)) ** 2).mean(axis=0)
-    for k in range(1, len(power) - 1):
-        above = power[k + 1 : NOISE_BAND * k + 1]
-        if np.median(above) > NOISE_RISE * power[k]:
-            mirrored = np.concatenate([tau, tau[::-1]])
-            f = SPECTRUM * np.fft.rfftfreq(len(mirrored))
-            passed = np.fft.rfft(mirrored) / (1 + (f / k) ** 8)
-            return np.fft.irfft(passed, len(mirrored))[: len(tau)]
+    rate = 1 / (motion.t[1] - motion.t[0])
+    f, power = scipy.signal.welch(tau, rate, nperseg=SPECTRUM)
+    for edge, least in zip(f[1:], power[1:], strict=True):
+        above = power[(f > edge) & (f <= NOISE_BAND * edge)]
+        if len(above) and np.median(above) > NOISE_RISE * least:
+            sos = scipy.signal.butter(4, edge, fs=rate, output="sos")
+            return np.asarray(scipy.signal.sosfiltfilt(sos, tau), float)
     return tau
 
 
