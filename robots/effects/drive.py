@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import scipy
@@ -21,8 +22,13 @@ from excitant.robots.effects.base import (
     registered,
 )
 from excitant.robots.effects.search import JointFacts, Search, Shape, between
-from excitant.robots.motion import Array, Motion
-from excitant.robots.regressor import rigid_torque, torque_along, torque_derivatives
+from excitant.robots.motion import Array, Motion, frozen
+from excitant.robots.regressor import (
+    CACHED_MOTIONS,
+    rigid_torque,
+    torque_along,
+    torque_derivatives,
+)
 from excitant.robots.robot import Robot
 
 BACKLASH_GAPS = np.geomspace(3e-4, 0.1, 12).tolist()  # rad
@@ -296,6 +302,7 @@ class _Lag(Effect):
     acts_on = Acts.ONE
 
 
+@lru_cache(maxsize=CACHED_MOTIONS)
 def _load(robot: Robot, motion: Motion, j: int) -> Array:
     """Rigid-body torque of joint j, shape (n,), without noise of positions.
 
@@ -311,7 +318,7 @@ def _load(robot: Robot, motion: Motion, j: int) -> Array:
         above = power[(f > edge) & (f <= NOISE_BAND * edge)]
         if len(above) and np.median(above) > NOISE_RISE * least:
             sos = scipy.signal.butter(4, edge, fs=rate, output="sos")
-            return np.asarray(scipy.signal.sosfiltfilt(sos, tau), float)
+            return frozen(scipy.signal.sosfiltfilt(sos, tau))
     return tau
 
 
