@@ -578,8 +578,9 @@ class _Identified(NamedTuple):
         What is read from the torque, as a delay, is read from that of the friction too.
         """
         given = self.rows.robot
-        bare = frictionless(given)
-        return given.with_effects(self.model.effects) if bare else given
+        if self.fit is None or not frictionless(given):
+            return given
+        return given.with_effects(self.model.effects)
 
 
 def _as_identified(robot: Robot, data: Data) -> _Identified:
