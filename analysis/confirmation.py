@@ -98,6 +98,7 @@ class Finding:
         margin: Gain beyond the threshold of confirmation; negative where the size may be chance.
         rivals: Causes that the data cannot distinguish from it.
         downgrade: Reason to call it undecided although it has no rival; else empty.
+        instead: The extended model with the first of its rivals in its place, if it has one.
     """
 
     effect: Effect
@@ -115,6 +116,7 @@ class Finding:
     margin: float = 0.0
     rivals: tuple[Rival, ...] = ()
     downgrade: str = ""
+    instead: Robot | None = None
 
     @property
     def total(self) -> Array:
@@ -319,16 +321,24 @@ class Extension:
         return [self.names.index(name) for name in names if name in self.names]
 
     def unsure_of(self, finding: Finding, causes: Sequence[Finding]) -> Finding:
-        """A finding with what it would change by without causes that may be absent, as error.
+        """A finding with what it would change by if undecided causes are other ones, as error.
 
         Without a cause whose coefficients x_u are off the nominal ones by d, all parameters x are
-        off by C_xu C_uu⁻¹ d.
+        off by C_xu C_uu⁻¹ d. With its rival, they are those fitted then.
         """
-        own = self.places(finding.effect)[: len(finding.covariance)]
+        size = len(finding.covariance)
+        own = self.places(finding.effect)[:size]
         covariance = np.array(finding.covariance)
+        robot = self.observed.robot
         for cause in causes:
+            if cause.effect is finding.effect or not size:
+                continue
+            if cause.instead is not None:
+                here = coefficients_of(self.model, robot, finding.effect)
+                there = coefficients_of(cause.instead, robot, finding.effect)
+                covariance += np.outer(there - here, there - here)
             at = self.places(cause.effect)[: len(cause.covariance)]
-            if cause.effect is not finding.effect and own and at:
+            if cause.downgrade and own and at:
                 change = np.subtract(cause.effect.values or (), cause.nominal)
                 inverse = scipy.linalg.pinvh(self.covariance[np.ix_(at, at)])
                 shift = self.covariance[np.ix_(own, at)] @ inverse @ change
@@ -757,17 +767,27 @@ def _coefficients(
     robot: Robot, fit: Extension, effect: Effect
 ) -> tuple[Array, Array, Array]:
     """Values of the extended and the nominal model, (k,), and the covariance of the former."""
+    value = coefficients_of(fit.model, robot, effect)
     if effect.role == "link":
-        links = [np.arange(10 * k, 10 * k + 10) for k in effect.rows(robot)]
-        at = np.concatenate(links)
-        change = fit.model.phi[at] - robot.phi[at]
-        return change, np.zeros(len(at)), fit.covariance[np.ix_(at, at)]
-    nominal = effect_values(robot)
-    names = [p.name for p in effect.parameters(robot)]
-    value = np.array([fit.values[name] for name in names])
-    before = np.array([nominal.get(name, 0.0) for name in names])
+        at = _inertial_rows(robot, effect)
+        return value, np.zeros(len(at)), fit.covariance[np.ix_(at, at)]
+    before = coefficients_of(robot, robot, effect)
     places = fit.places(effect)
     return value, before, fit.covariance[np.ix_(places, places)]
+
+
+def coefficients_of(model: Robot, robot: Robot, effect: Effect) -> Array:
+    """Coefficients that a model of a nominal robot has of an effect, (k,): of links, the change."""
+    if effect.role == "link":
+        at = _inertial_rows(robot, effect)
+        return np.asarray(model.phi[at] - robot.phi[at], float)
+    values = effect_values(model)
+    return np.array([values.get(p.name, 0.0) for p in effect.parameters(robot)])
+
+
+def _inertial_rows(robot: Robot, effect: Effect) -> Array:
+    links = [np.arange(10 * k, 10 * k + 10) for k in effect.rows(robot)]
+    return np.concatenate(links)
 
 
 def errors_by_gains(

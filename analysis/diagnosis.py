@@ -350,8 +350,7 @@ def _of_data(
     findings = [_judged_set_up(mounted, finding) for finding in of_set_up]
     causes = _judged(mounted, fit, holdout, causes, left)
     findings += causes
-    absent = [f for f in causes if f.downgrade]
-    others = [fit.unsure_of(f, absent) for f in others]
+    others = [fit.unsure_of(f, causes) for f in others]
     level = VERDICT.chance / max(len(others), 1)
     corrected = [f for f in others if not f.by_chance(level)]
     coarse = _coarse_sentence(share, joints) if halves else ""
@@ -388,25 +387,31 @@ def _judged(
 ) -> list[Finding]:
     """The causes by their gain, with the reason why one is not decided.
 
-    Values are then as unsure as by the absence of those, which may leave others undecided.
+    Values are then as unsure as by those not decided, which may leave others undecided.
     """
     body_std = EVIDENCE.tolerance * max(1.0, fit.evidence.tolerance[0])
     standing = _impossible(mounted, fit, holdout)
     ordered = sorted(causes, key=lambda f: -f.explained)
 
-    def reason(finding: Finding) -> str:
-        return (
+    def reasons(findings: Sequence[Finding]) -> list[str]:
+        return [
             finding.downgrade
             or standing
-            or reason_to_downgrade(mounted.robot, finding, ordered, left, body_std)
-        )
+            or reason_to_downgrade(mounted.robot, finding, findings, left, body_std)
+            for finding in findings
+        ]
 
-    reasons = [reason(finding) for finding in ordered]
-    absent = [f for f, why in zip(ordered, reasons, strict=True) if why]
-    ordered = [fit.unsure_of(f, absent) for f in ordered]
+    judged = [
+        replace(finding, downgrade=why)
+        for finding, why in zip(ordered, reasons(ordered), strict=True)
+    ]
+    unsure = [fit.unsure_of(finding, judged) for finding in judged]
+    beside = [
+        why and f"{why}, as other causes are undecided" for why in reasons(unsure)
+    ]
     return [
-        replace(f, downgrade=why or reason(f))
-        for f, why in zip(ordered, reasons, strict=True)
+        replace(finding, downgrade=finding.downgrade or why)
+        for finding, why in zip(unsure, beside, strict=True)
     ]
 
 
@@ -511,9 +516,13 @@ def _causes(
         elif finding.significant:
             alike = rivals(fit.evidence, robot, fit.chosen, candidate)
             # one that is left is enough: the cause is undecided
-            while alike and _refuted(alike[0], finding, fit, holdout):
+            model: Robot | None = None
+            while (
+                alike
+                and (model := _instead(alike[0], finding, fit, holdout)) is None
+            ):
                 alike.pop(0)
-            causes.append(replace(finding, rivals=tuple(alike)))
+            causes.append(replace(finding, rivals=tuple(alike), instead=model))
     if (bodies := off_bodies(fit, holdout)) is not None:
         if drive is not None and not drive.known.any():
             why = "masses rest on the drive gains, of which none is determined"
@@ -530,21 +539,20 @@ def _causes(
     return changes, with_gains(others)
 
 
-def _refuted(
+def _instead(
     rival: Rival, finding: Finding, fit: Extension, holdout: Holdout
-) -> bool:
-    """Whether a rival, all else fitted again, predicts the hold-out worse.
+) -> Robot | None:
+    """The model with a rival, all else fitted again; None where it predicts the hold-out worse.
 
     That is beyond chance, on this motion, and by a noticeable part of what the cause explains
     there: causes of the same torque differ by their priors alone, however surely. Nor is it one if
     the cause is there beside it: if a link that is one, as uncertain as the others, is off as well.
     """
-    if fit.extender is None:
-        return False
+    assert fit.extender is not None
     extender = fit.extender.as_given(finding.effect)
     model = extender.model(rival.instead)
     if extender.is_off(finding.effect, model):
-        return True
+        return None
     weight = holdout.series.moves * holdout.gains / fit.evidence.sigma
     error = (holdout.series.measured - fit.predicted) * weight
     left = (error**2).sum()
@@ -552,8 +560,9 @@ def _refuted(
     change = (extender.predicted(model) - fit.predicted) * weight
     scale = holdout_scale(error, change)
     if -scale.gain * left <= CONFIRMATION.floor * explained:
-        return False
-    return scale.gain + rival.tie * scale.gain_std < 0
+        return model
+    worse = scale.gain + rival.tie * scale.gain_std < 0
+    return None if worse else model
 
 
 class _Identified(NamedTuple):
