@@ -496,6 +496,11 @@ def _extended(
         complete = confirmed(fit.extender, more)
         if holdout.worse(fit.predicted, complete.predicted, SEARCH.gain):
             fit = complete
+    # causes that predict worse than bodies and usual effects as free as in identify are none
+    usual = [c for c in first.evidence.candidates if c.effect.search.standard]
+    plain = confirmed(first.by_data(usual), usual)
+    if holdout.worse(fit.predicted, plain.predicted, CONFIRMATION.floor):
+        fit = plain
     fit = fit.settled()
     if holdout.worse(fit.predicted, holdout.mounted):
         fit = unextended(fit.evidence, holdout)
