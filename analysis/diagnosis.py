@@ -564,6 +564,10 @@ def _instead(
     explained = ((error + finding.torque * weight) ** 2).sum() - left
     change = (extender.predicted(model) - fit.predicted) * weight
     scale = holdout_scale(error, change)
+    # of the same torque, values of other causes differ by convention
+    squares = ((finding.torque * weight) ** 2).sum()
+    if (change**2).sum() <= VERDICT.same_torque * squares:
+        return fit.model
     if -scale.gain * left <= CONFIRMATION.floor * explained:
         return model
     worse = scale.gain + rival.tie * scale.gain_std < 0

@@ -169,6 +169,11 @@ class VerdictThresholds:
     """Squared residual > this share of the squared torque of a cause on several joints: it does
     not explain them all."""
 
+    same_torque: float = 0.01
+    """Squared change by a rival ≤ this share of the cause's: another name of the same torque.
+    Of MuJoCo arms an offset and asymmetric friction differ by 0.0001 to 0.0006, of a real servo a
+    spring and a gain by 0.04."""
+
     own_residual_share: float = 0.2
     """The same of a cause on one joint: another may be the true one. In 192 worlds, 99 names of
     hidden effects were right below it, none above; two of four wrong names were above."""
