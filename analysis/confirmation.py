@@ -324,7 +324,8 @@ class Extension:
         """A finding with what it would change by if undecided causes are other ones, as error.
 
         Without a cause whose coefficients x_u are off the nominal ones by d, all parameters x are
-        off by C_xu C_uu⁻¹ d. With its rival, they are those fitted then.
+        off by C_xu C_uu⁻¹ d. With its rival, they are those fitted then; not those of a joint's
+        friction with another law for it, which are a convention.
         """
         size = len(finding.covariance)
         own = self.places(finding.effect)[:size]
@@ -333,7 +334,9 @@ class Extension:
         for cause in causes:
             if cause.effect is finding.effect or not size:
                 continue
-            if cause.instead is not None:
+            if cause.instead is not None and not _is_one_friction(
+                finding.effect, cause.rivals[0].candidate.effect
+            ):
                 here = coefficients_of(self.model, robot, finding.effect)
                 there = coefficients_of(cause.instead, robot, finding.effect)
                 covariance += np.outer(there - here, there - here)
@@ -344,6 +347,11 @@ class Extension:
                 shift = self.covariance[np.ix_(own, at)] @ inverse @ change
                 covariance += np.outer(shift, shift)
         return replace(finding, covariance=covariance)
+
+
+def _is_one_friction(one: Effect, other: Effect) -> bool:
+    same = bool({*one.joints} & {*other.joints})
+    return same and one.family == other.family == "friction"
 
 
 def unextended(evidence: Evidence, holdout: Holdout) -> Extension:
