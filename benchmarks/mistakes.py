@@ -16,7 +16,7 @@ import common
 import numpy as np
 import scipy
 from arms import TrueArm
-from worlds_plant import Plant, Rng, Trajectory, given_and_true
+from worlds_plant import Plant, Rng, Trajectory, given_and_true, heavier, payload
 
 from excitant.design import random_trajectory
 from excitant.exceptions import ExcitantError
@@ -169,6 +169,14 @@ def geared(log: Log, ratio: Any) -> Log:
 def weight(robot: Robot, q: Array) -> Array:
     """Torque that holds the given bodies, (n, nv)."""
     return TrueArm(robot.model).torque(Motion(np.arange(float(len(q))), q, 0 * q, 0 * q))
+
+
+def loaded(run: Run, share: float = 0.2) -> Log:
+    """With a load of a share of what moves of the arm, in its hand."""
+    robot = run.plant.robot
+    body = share * robot.phi[::10].sum() * payload(robot, np.random.default_rng(run.seed[:2]))
+    heavy = replace(run.plant, robot=heavier(robot, robot.nv - 1, body))
+    return replace(run, plant=heavy).log
 
 
 def in_ampere(log: Log) -> Log:
@@ -353,6 +361,7 @@ FAULTLESS: dict[str, tuple[Callable[[Run], Log], float, float]] = {
     "without_velocity": (lambda run: replace(run.log, dq=None), 100.0, 0.1),
     "in_ampere": (lambda run: in_ampere(run.log), 125.0, 0.1),
     "in_ampere_off_by_30": (lambda run: in_ampere(run.log), 200.0, 0.3),
+    "loaded": (loaded, 125.0, 0.1),
     "rests": (lambda run: replace(
         run, motion=lambda t, order: run.motion(np.clip(t - 2, 0, DURATION), order),
         t=np.arange(12 * 125) / 125).log, 125.0, 0.1),

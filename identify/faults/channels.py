@@ -158,6 +158,8 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
                 continue
             if run_lengths(at)[1].max(initial=0) < _AT_EXTREME:
                 continue
+            if _passes(x, at, scatter):
+                continue
             where = "within its noise of the limit"
             more = ""
             value = sign * limit
@@ -170,6 +172,17 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
             f"{len(log)} rows, up to {longest} in a row{more}"
         )
         yield Fault("saturation", (joint,), detail, evidence)
+
+
+def _passes(x: Array, near: Mask, scatter: float) -> bool:
+    """Whether values slope or bend beyond noise over the longest run near a limit."""
+    starts, lengths = run_lengths(near)
+    longest = int(np.argmax(lengths))
+    rows = slice(starts[longest], starts[longest] + lengths[longest])
+    place = np.linspace(-1, 1, lengths[longest])
+    shapes = np.polynomial.legendre.legvander(place, 2)[:, 1:]
+    explained = np.linalg.qr(shapes)[0].T @ x[rows] / scatter
+    return float(explained @ explained) > float(scipy.special.chdtri(2, ALARM))
 
 
 def held_channels(log: Log) -> Iterator[Fault]:

@@ -98,6 +98,8 @@ class Search:
     "Factor of a torque that bodies off by `BODY_STD` do not make (3.7 std of its logarithm)."
     clear_scale: float = 0.5
     "Relative std of a joint's factor below which it is one."
+    explained: float = 2 * MODEL_ERROR
+    "Rms of a torque that bodies leave, in its own, below which it needs no other unit."
     clock: float = 0.1
     "Least relative error of a clock that the torque alone can show."
     parts: int = 3
@@ -933,6 +935,9 @@ def _of_limits(fit: TorqueFit) -> Iterator[Installation]:
     limit = fit.robot.limits.torque
     if fit.log.unit != "N·m" or fit.unscaled or not np.isfinite(limit).all():
         return
+    # a load makes the torque of bodies, however large
+    if (fit.left() < SEARCH.explained).all():
+        return
     for whole, name in ((100.0, "per cent"), (1000.0, "per mille")):
         remedies = (
             Remedy("scale", "tau", (j,), factor=most / whole)
@@ -959,7 +964,8 @@ def _scales(fit: TorqueFit) -> Iterator[Installation]:
     far = np.abs(np.log(gains)) > np.log(SEARCH.least_scale)
     clear = std < SEARCH.clear_scale
     some = np.flatnonzero(far & clear)
-    if not len(some):
+    # a load makes the torque of bodies, however large
+    if (gains[some] > 1).all() and (fit.left()[some] < SEARCH.explained).all():
         return
     joints = np.array(fit.joints)
     # joints whose torque tells no factor have one as well

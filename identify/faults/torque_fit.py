@@ -331,6 +331,19 @@ class TorqueFit:
         log_normal = np.log(gain) ** 2 / (by_bodies + by_noise / gain**2)
         return float((log_normal - normal).max(initial=0.0))
 
+    def left(self) -> Array:
+        """Share of each torque that bodies near the nominal ones, one another, leave, rms, (k,)."""
+        weight = self.weight(0.0, self.rows)
+        factors = [self._factor(weight, link) for link in range(self.robot.nv)]
+        other = int(np.argmin([L[-1, -1] for L in factors]))
+        L = factors[other]
+        z = scipy.linalg.solve_triangular(
+            L[:-1, :-1], L[-1, :-1], lower=True, trans=1
+        )
+        x = np.append(-z * self._std(other), 1.0)
+        squares = np.einsum("i,jik,k->j", x, self.sums.grams, x)
+        return np.sqrt(squares / len(self.tau) / self.size[self.joints])
+
     def squares(self, weight: Array) -> float:
         """Squares that bodies near the nominal ones leave, friction of any sign."""
         return float(self._factor(weight, self.robot.nv - 1)[-1, -1] ** 2)
