@@ -5,17 +5,15 @@
 | `wls` | joints of different noise | Gautier 1997 |
 | `irls` | wrong torques here and there | Huber and Ronchetti 2009 |
 | `iv` | noise in the motion | Janot, Vandanjon, Gautier 2014 |
-| `oe` | noise in the motion: columns on the simulated one | Gautier, Janot, Vandanjon 2013 |
+| `smooth` | noise in the motion: columns on positions without it | Gautier 1997 |
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -36,28 +34,23 @@ from excitant.identify.preprocessing import (
     Segment,
     certain_rows,
 )
-from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.regression import (
     Regression,
     dense,
-    joined,
     regression_of,
     triangle,
 )
-from excitant.identify.rows import FitRows, identified_robot
+from excitant.identify.rows import FitRows
 from excitant.identify.signals import detrended, low_pass, power_density
 from excitant.robots.motion import Array, Motion
-from excitant.robots.robot import Robot
-from excitant.robots.simulation import Controller, Diverged, simulate
-from excitant.robots.torque import observation_columns
 
 ESTIMATORS: Mapping[str, str] = MappingProxyType(
     {
         "wls": "weighted least squares",
         "irls": "robust regression (iteratively reweighted, Student's t)",
         "iv": "instrumental variables (even and odd samples)",
-        "oe": "output error (closed loop simulated, DIDIM)",
+        "smooth": "weighted least squares on smoothed positions",
     }
 )
 """Name and description of every estimator."""
@@ -103,31 +96,21 @@ ROBUST = Robust()
 
 
 @dataclass(frozen=True)
-class Simulation:
-    """Settings of output error.
+class Smoothing:
+    """Settings of smoothed positions.
 
     Attributes:
-        rounds: Largest number of simulations; two to four do.
-        still: Largest step of a settled parameter in standard deviations, or
-        unchanged: of the torque, rms relative to the measured.
-        wider: Cut-off of the reference over the bandwidth of the motion, which passes to 1e-3.
-        highest: Largest cut-off of the reference over the sampling rate.
-        shares: Ways from the nominal arm to an estimate, the first of which moves is simulated.
-        mass_moves: Change of masses over that of other parameters where β leaves a choice.
+        wider: Cut-off of positions over the bandwidth of the motion, which passes to 1e-3.
+        highest: Largest cut-off over the sampling rate.
         caution: Factor of the noise, lest the largest of many frequencies pass for motion.
     """
 
-    rounds: int = 15
-    still: float = 1e-2
-    unchanged: float = 1e-6
     wider: float = 2.5
     highest: float = 0.4
-    shares: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1)
-    mass_moves: float = 1e-3
     caution: float = 2.0
 
 
-SIMULATION = Simulation()
+SMOOTHING = Smoothing()
 
 
 def estimated(
@@ -142,7 +125,7 @@ def estimated(
 
     Raises:
         RankDeficient: Motion that leaves base parameters undetermined.
-        Infeasible: Robust regression or output error that does not converge.
+        Infeasible: Robust regression that does not converge.
     """
     problem = rows.reduced
     if name is None:
@@ -157,10 +140,11 @@ def estimated(
     note = f"base parameters by {ESTIMATORS[name]}"
     if name == "irls":
         return irls(problem), name, (note,)
-    if name == "oe":
-        loop = closed_loop(rows)
-        simulated = output_error(loop.problem, loop.simulated)
-        return simulated.fit, name, (note, simulated.sentence(loop.bandwidth_hz))
+    if name == "smooth":
+        smoothed, band_hz = smoothed_regression(rows)
+        band = f"{band_hz.min():.3g} to {band_hz.max():.3g} Hz"
+        up_to = f"positions count up to {band}, above which noise drowns their acceleration"
+        return weighted_least_squares(smoothed), name, (note, up_to)
     even, odd = half_regressions(rows, recordings)
     try:
         return iv(even, odd), name, (note,)
@@ -425,141 +409,40 @@ def half_regressions(
     return even, odd
 
 
-class OutputError(NamedTuple):
-    """An output-error estimate, the weighted least squares it began with, simulations it took."""
+def smoothed_regression(rows: FitRows) -> tuple[Regression, Array]:
+    """The regression of a fit on smoothed positions, and their cut-offs, (segments, nv) [Hz].
 
-    fit: LeastSquares
-    start: LeastSquares
-    iterations: int
-
-    def sentence(self, bandwidth_hz: Array) -> str:
-        """Simulation with positions up to a bandwidth for reference [Hz]."""
-        low = bandwidth_hz.min()
-        high = bandwidth_hz.max()
-        width = (
-            f"{low:.3g} Hz"
-            if high - low < 0.1 * low
-            else f"{low:.3g} to {high:.3g} Hz"
-        )
-        moved = np.abs(self.fit.beta - self.start.beta) / self.fit.std
-        return (
-            f"the model was simulated on the measured motion up to {width}, as the positions "
-            f"themselves suggest; converged after {self.iterations} iterations, which moved "
-            f"parameters by up to {moved.max():.2g} standard deviations"
-        )
-
-
-def output_error(
-    problem: Regression, simulated: Callable[[Array], Regression]
-) -> OutputError:
-    """Output error by direct and inverse models (DIDIM: Gautier, Janot, Vandanjon 2013).
-
-    The closed loop of the model is simulated with the current β, which gives columns W_s(β) of a
-    motion without the noise of the measured one, and τ ≈ W_s(β) β is solved by weighted least
-    squares for the next. How the simulated motion depends on β is left out of the derivative,
-    because the controller holds the motion whatever β is.
-
-    Begins with the columns on the reference; ``simulated`` gives those of parameters β.
-
-    Raises:
-        Infeasible: It does not converge.
-        RankDeficient: The motion does not show some columns.
+    Positions pass up to 2.5 times the frequency where noise drowns the acceleration: the bias that
+    noise below that makes falls with the bandwidth to the power 5. Simulating the closed loop of
+    the model on this motion (output error: Gautier, Janot, Vandanjon 2013) predicts no better.
     """
-    start = weighted_least_squares(problem)
-    fit = start
-    rms = np.sqrt((problem.tau**2).mean(axis=0))
-    scale = np.maximum(rms, np.finfo(float).tiny)
-    for done in range(SIMULATION.rounds):
-        try:
-            current = simulated(fit.beta)
-        except Diverged as error:
-            raise Infeasible(
-                "output error",
-                f"no motion of the model after {done} iterations ({error}); "
-                "use wls or iv, or a recording that shows all parameters",
-            ) from error
-        last = fit
-        fit = weighted_least_squares(current)
-        step = fit.beta - last.beta
-        change = float((np.abs(step) / fit.std).max())
-        torque = float(np.sqrt(((current.torque(step) / scale) ** 2).mean()))
-        if change < SIMULATION.still or torque < SIMULATION.unchanged:
-            return OutputError(fit, start, done + 1)
-    raise Infeasible(
-        "output error",
-        f"parameters still move by {change:.2g} standard deviations after {SIMULATION.rounds} "
-        "simulations; use wls or iv",
-    )
-
-
-class ClosedLoop(NamedTuple):
-    """A regression on the reference, and on the motion of the model with parameters β.
-
-    Positions are the reference up to a bandwidth, shape (segments, nv) [Hz].
-    """
-
-    problem: Regression
-    simulated: Callable[[Array], Regression]
-    bandwidth_hz: Array
-
-
-def closed_loop(rows: FitRows) -> ClosedLoop:
-    """The regression of a fit with the simulated loop of each of its segments.
-
-    A recording holds neither the commanded motion nor the controller, so measured positions are
-    the reference, passed up to 2.5 times the frequency where noise drowns the acceleration. The
-    bias that noise below that makes falls with the bandwidth to the power 5. Base parameters far
-    from the truth may be those of no arm, of which no motion comes: the model simulated is then
-    one between the given arm and the estimate.
-    """
-    loops = [_reference(segment) for segment in rows.data.train]
-    segments = [segment for segment, _, _ in loops]
-    commands = [command for _, command, _ in loops]
+    smoothed = [_smoothed(segment) for segment in rows.data.train]
+    segments = [segment for segment, _ in smoothed]
+    every = regression_of(rows.robot, rows.effects, segments)
+    problem = every.select(rows.base.columns, rows.base.expressions)
     used = certain_rows(rows.effects, rows.robot.joints, segments)
-    model_of = _completion(rows)
-
-    def regression(motions: Sequence[Motion]) -> Regression:
-        parts = []
-        for segment, motion in zip(segments, motions, strict=True):
-            columns = observation_columns(rows.robot, rows.effects, motion)
-            W = segment.filtered(columns[:, :, rows.base.columns], segment.keep)
-            tau = segment.tau[segment.keep] * rows.gains
-            parts.append(dense(W, tau, rows.base.expressions))
-        return joined(parts).counting(used)
-
-    def simulated(beta: Array) -> Regression:
-        for share in SIMULATION.shares:
-            with suppress(Diverged):
-                return simulated_at(beta, share)
-        return simulated_at(beta, 0.0)
-
-    def simulated_at(beta: Array, share: float) -> Regression:
-        model = model_of(beta, share)
-        motions = [simulate(model, c, Controller()) for c in commands]
-        return regression(motions)
-
-    bandwidth_hz = np.array([width for _, _, width in loops])
-    return ClosedLoop(regression(commands), simulated, bandwidth_hz)
+    problem = problem.with_torque(problem.tau * rows.gains).counting(used)
+    return problem, np.array([cutoff_hz for _, cutoff_hz in smoothed])
 
 
-def _reference(segment: Segment) -> tuple[Segment, Motion, Array]:
-    """Rows away from the edges of the filter, positions up to the bandwidth, and it, (nv,)."""
+def _smoothed(segment: Segment) -> tuple[Segment, Array]:
+    """Rows away from the edges of the filter, positions up to their cut-offs, (nv,) [Hz]."""
     rate = segment.rate_hz
     t = segment.motion.t
     q = segment.motion.q
-    widest = SIMULATION.highest * rate
-    wider = SIMULATION.wider * _motion_bandwidth(segment)
-    width = np.clip(wider, 4 * rate / len(q), widest)
-    pairs = zip(q.T, width.tolist(), strict=True)
+    widest = SMOOTHING.highest * rate
+    wider = SMOOTHING.wider * _motion_bandwidth(segment)
+    cutoff_hz = np.clip(wider, 4 * rate / len(q), widest)
+    pairs = zip(q.T, cutoff_hz.tolist(), strict=True)
     smooth = np.column_stack([low_pass(channel, hz, rate) for channel, hz in pairs])
-    spline = scipy.interpolate.make_interp_spline(t, smooth, k=5)
     keep = segment.keep
-    edge = max(keep.start, round(rate / float(width.min())))
+    edge = max(keep.start, round(rate / float(cutoff_hz.min())))
     skipped = -(-(edge - keep.start) // keep.step)
     first = keep.start + keep.step * skipped
     inner = slice(first, min(keep.stop, len(t) - edge), keep.step)
-    motion = Motion(t, spline(t), spline(t, 1), spline(t, 2))
-    return replace(segment, keep=inner), motion, width
+    spline = scipy.interpolate.make_interp_spline(t, smooth, k=5)
+    motion = Motion(t, *(spline(t, order) for order in range(3)))
+    return replace(segment, keep=inner, motion=motion), cutoff_hz
 
 
 def _motion_bandwidth(segment: Segment) -> Array:
@@ -573,26 +456,5 @@ def _motion_bandwidth(segment: Segment) -> Array:
     q = detrended(segment.motion.q)
     f, power = power_density(q, segment.rate_hz, len(q))
     noise = 2 * segment.sensors.position**2 / segment.rate_hz
-    balance = f[:, None] ** 4 * (2 * SIMULATION.caution * noise - power)
+    balance = f[:, None] ** 4 * (2 * SMOOTHING.caution * noise - power)
     return f[np.argmin(np.cumsum(balance, axis=0), axis=0)]
-
-
-def _completion(rows: FitRows) -> Callable[[Array, float], Robot]:
-    """A robot near the given one that has base parameters β, or a share of the way there.
-
-    The choice makes no difference to any torque; masses move least, so that they stay positive.
-    """
-    B = rows.base.regrouping
-    links = 10 * rows.robot.nv
-    nominal = np.zeros(B.shape[1])
-    nominal[:links] = prior_parameters(rows.robot).ravel()
-    size = np.sqrt((rows.W**2).mean(axis=(0, 1)))
-    scale = 1 / np.where(size > 1e-9 * size.max(), size, size.max())
-    scale[:links:10] *= SIMULATION.mass_moves
-    G = scale[:, None] * np.linalg.pinv(B * scale)
-
-    def model(beta: Array, share: float) -> Robot:
-        x = nominal + share * (G @ (beta - B @ nominal))
-        return identified_robot(rows.robot, rows.effects, x)
-
-    return model
