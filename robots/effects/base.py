@@ -17,7 +17,6 @@ from typing import (
     Any,
     ClassVar,
     Literal,
-    Protocol,
     Self,
     TypeVar,
     dataclass_transform,
@@ -223,14 +222,6 @@ class Export:
     formats: Mapping[str, str] = field(default_factory=dict)
 
 
-class Stepper(Protocol):
-    """An effect in a simulation that carries a state of its own from step to step."""
-
-    def __call__(self, t: float, q: Array, dq: Array, ddq: Array) -> Array: ...
-
-    def advance(self, q: Array) -> None: ...
-
-
 @dataclass(frozen=True)
 class Effect(ABC):
     """Torque that is linear in the effect's coefficients once its shape is fixed.
@@ -401,10 +392,6 @@ class Effect(ABC):
     def applied(self, robot: Robot) -> Robot:
         """The robot with what the effect changes of its bodies and gravity."""
         return robot
-
-    def stepper(self, robot: Robot) -> Stepper | None:
-        """The effect with a state of its own, carried from step to step, where it has one."""
-        return None
 
     def sizes(
         self, value: Array, given: Array, covariance: Array, units: Sequence[str]

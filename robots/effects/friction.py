@@ -297,12 +297,6 @@ class PreslidingHysteresis(_Friction, JointwiseEffect):
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
         return (bristles(motion.q[:, j], self.distance) - np.sign(motion.dq[:, j]),)
 
-    def stepper(self, robot: Robot) -> Bristles:
-        force = np.zeros(robot.nv)
-        force[self.rows(robot)] = self.coefficients
-        unknown = np.full(robot.nv, np.nan)
-        return Bristles(self.distance, force, np.zeros(robot.nv), unknown)
-
 
 def _within(
     effect: GradualReversal,
@@ -403,29 +397,6 @@ def amended(
     fitting = (e for e in hidden if {*e.joints} <= rubbing - finer)
     laws = (e for e in (*amends, *fitting) if isinstance(e, GradualReversal))
     return turned(effects, laws)
-
-
-@dataclass(frozen=True, eq=False)
-class Bristles:
-    """Dahl's state of each joint, carried from step to step of a simulation; shapes (nv,)."""
-
-    distance: float  # δ [rad]
-    force: Array  # F_h, zero for joints without it [N·m]
-    z: Array  # after the last step
-    q: Array  # positions then, NaN before the first
-
-    def __call__(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
-        return self.force * (self._state(q) - np.sign(dq))
-
-    def _state(self, q: Array) -> Array:
-        moved = np.where(np.isnan(self.q), 0.0, q - self.q)
-        sign = np.sign(moved)
-        kept = np.exp(-np.abs(moved) / self.distance)
-        return np.where(sign != 0, sign + (self.z - sign) * kept, self.z)
-
-    def advance(self, q: Array) -> None:
-        self.z[:] = self._state(q)
-        self.q[:] = q
 
 
 def bristles(q: Array, distance: float) -> Array:

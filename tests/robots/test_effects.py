@@ -19,11 +19,9 @@ from excitant.robots.effects import EFFECTS, Effect
 from excitant.robots.effects.base import length
 from excitant.robots.effects.experiments import BETWEEN
 from excitant.robots.parameters import STANDARD
-from excitant.robots.simulation import REST, forward_model
 
 Proposals = list[tuple[Effect, int]]
 JOINTWISE = sorted(name for name, kind in EFFECTS.items() if kind.acts_on is fx.Acts.EACH)
-OF_THE_PAST = ("encoder_scale", "encoder_eccentricity", "joint_elasticity", "backlash")
 CARRIED = ("gravity_direction", "payload", "inertial_parameters")
 
 
@@ -158,25 +156,11 @@ def test_columns_depend_on_the_model_where_an_effect_says_so(ur10, random_states
     assert same != kind.physics.on_model
 
 
-def test_in_a_simulation_it_makes_the_torque_of_its_columns(planar, random_states, kind):
-    """At single states; with bodies and gravity in the model, and inertia in the mass matrix."""
-    effect = fx.turning(valued(planar.with_effects(()), kind, 3), 0.5)
-    robot = planar.with_effects((effect,))
-    if kind.name in OF_THE_PAST:
-        refused(f"effect {kind.name} depends on the past", forward_model, robot, error=BadInput)
-        return
-    model, inertia, state = forward_model(robot)
-    motion = random_states(planar, 9, 20)
-    assert (np.abs(motion.dq) > REST).all()
-    carrying = replace(planar, model=model)
-    changed = rigid_body_torque(carrying, motion) - rigid_body_torque(planar, motion)
-    assert changed.any() == (kind.name in CARRIED)
-    if kind.name == "presliding_hysteresis":  # which has a state: see its own tests
-        return
-    states = zip(motion.t, motion.q, motion.dq, motion.ddq, strict=True)
-    made = [state(*x)[0] + inertia @ x[3] for x in states] + changed
-    expected = np.zeros((20, 2)) if kind.physics.on_torque else effect.torque(robot, motion)
-    np.testing.assert_allclose(made, expected, rtol=1e-9, atol=1e-9)
+def test_what_is_applied_to_the_arm_makes_the_torque_of_its_columns(planar, random_states, kind):
+    effect, motion = valued(planar.with_effects(()), kind, 3), random_states(planar, 9, 20)
+    changed = rigid_body_torque(effect.applied(planar), motion) - rigid_body_torque(planar, motion)
+    expected = effect.torque(planar, motion) if kind.name in CARRIED else 0 * motion.q
+    np.testing.assert_allclose(changed, expected, rtol=1e-9, atol=1e-9)
 
 
 @pytest.fixture(scope="module")
