@@ -58,7 +58,6 @@ from excitant.identify.rows import (
     Poses,
     effects_of,
     fit_rows,
-    fitted,
     gains_of,
     identified_robot,
     predicted_torque,
@@ -339,8 +338,8 @@ def identify_robot(
         effects: Effects to estimate; friction, offset and rotor inertia when None.
         cutoff_hz: Cut-off of the torque filter [Hz]; see `excitant.identify.split`.
         estimator: One of `excitant.identify.estimators.ESTIMATORS`; when None weighted least
-            squares, or where the recordings show gross errors of torque robust regression, where
-            they show coarse positions instrumental variables, which a note tells.
+            squares, on smoothed positions where the recordings show coarse ones, or robust
+            regression where they show gross errors of torque, which a note tells.
         knowledge: What is known of the bodies beforehand.
         harmonics_hz: Highest harmonic of the motion as planned [Hz], which the filter passes.
         turning: Whether Coulomb friction may turn over a range of speeds at reversals, where that
@@ -376,7 +375,7 @@ def identify_robot(
     if shapes is not None:
         rows = shapes.rows(rows) if shapes.better else rows
         notes += (shapes.sentence,)
-    fit, name, remarks = estimated(rows, fitted(recordings, validate), estimator)
+    fit, name, remarks = estimated(rows, estimator)
     R, z = rows.regression.factor(fit.weight)
     noise = _of_noise(rows, fit)
     if name in BIASED:

@@ -4,7 +4,6 @@
 |---|---|---|
 | `wls` | joints of different noise | Gautier 1997 |
 | `irls` | wrong torques here and there | Huber and Ronchetti 2009 |
-| `iv` | noise in the motion | Janot, Vandanjon, Gautier 2014 |
 | `smooth` | noise in the motion: columns on positions without it | Gautier 1997 |
 """
 
@@ -18,8 +17,8 @@ from types import MappingProxyType
 import numpy as np
 import scipy
 
-from excitant.exceptions import BadInput, Infeasible, RankDeficient
-from excitant.identify.attenuation import ATTENUATION, coarseness, half_segments
+from excitant.exceptions import Infeasible, RankDeficient
+from excitant.identify.attenuation import ATTENUATION, coarseness
 from excitant.identify.least_squares import (
     SMALLEST,
     Factor,
@@ -34,12 +33,9 @@ from excitant.identify.preprocessing import (
     Segment,
     certain_rows,
 )
-from excitant.identify.recording import Recording
 from excitant.identify.regression import (
     Regression,
-    dense,
     regression_of,
-    triangle,
 )
 from excitant.identify.rows import FitRows
 from excitant.identify.signals import detrended, low_pass, power_density
@@ -49,7 +45,6 @@ ESTIMATORS: Mapping[str, str] = MappingProxyType(
     {
         "wls": "weighted least squares",
         "irls": "robust regression (iteratively reweighted, Student's t)",
-        "iv": "instrumental variables (even and odd samples)",
         "smooth": "weighted least squares on smoothed positions",
     }
 )
@@ -114,14 +109,12 @@ SMOOTHING = Smoothing()
 
 
 def estimated(
-    rows: FitRows, recordings: Sequence[Recording], name: str | None
+    rows: FitRows, name: str | None
 ) -> tuple[LeastSquares, str, tuple[str, ...]]:
     """Base parameters by the estimator of a name, which it was, and what the user should know.
 
     Without a name, weighted least squares, or what the fitted rows call for in its place: `irls`
-    where gross errors of torque spoil it, else `iv` where noise of the motion does.
-    `iv` looks again at the recordings behind these rows, in order. Weighted least squares takes
-    its place where half of the samples, as of a coarse encoder, show too little.
+    where gross errors of torque spoil it, else `smooth` where noise of the motion does.
 
     Raises:
         RankDeficient: Motion that leaves base parameters undetermined.
@@ -133,27 +126,17 @@ def estimated(
         robust, sentence = _robust(problem, fit, rows.robot.joints)
         if sentence:
             return robust, "irls", (sentence,)
-        fit, sentence = _instrumental(rows, recordings, fit)
-        return (fit, "iv", (sentence,)) if sentence else (fit, "wls", ())
+        fit, sentence = _smooth(rows, fit)
+        return (fit, "smooth", (sentence,)) if sentence else (fit, "wls", ())
     if name == "wls":
         return weighted_least_squares(problem), name, ()
     note = f"base parameters by {ESTIMATORS[name]}"
     if name == "irls":
         return irls(problem), name, (note,)
-    if name == "smooth":
-        smoothed, band_hz = smoothed_regression(rows)
-        band = f"{band_hz.min():.3g} to {band_hz.max():.3g} Hz"
-        up_to = f"positions count up to {band}, above which noise drowns their acceleration"
-        return weighted_least_squares(smoothed), name, (note, up_to)
-    even, odd = half_regressions(rows, recordings)
-    try:
-        return iv(even, odd), name, (note,)
-    except (np.linalg.LinAlgError, RankDeficient) as error:
-        instead = (
-            f"{ESTIMATORS[name]} left out ({error}): positions are too coarse or the motion "
-            f"too poor in every second sample; {ESTIMATORS['wls']} instead"
-        )
-        return weighted_least_squares(problem), "wls", (instead,)
+    smoothed, cutoffs_hz = smoothed_regression(rows)
+    up_to = f"positions count up to {_band(cutoffs_hz)}"
+    said = f"{up_to}, above which noise drowns their acceleration"
+    return weighted_least_squares(smoothed), name, (note, said)
 
 
 def spoiled(rows: FitRows) -> bool:
@@ -218,47 +201,32 @@ def _follow_motion(problem: Regression, sigma: Array, errors: Array) -> bool:
     return as_large <= FALSE_ALARM * (SHIFTS + 1)
 
 
-def _instrumental(
-    rows: FitRows, recordings: Sequence[Recording], fit: LeastSquares
-) -> tuple[LeastSquares, str]:
-    """Instrumental variables where coarse positions spoil least squares, and the sentence for it.
+def _smooth(rows: FitRows, fit: LeastSquares) -> tuple[LeastSquares, str]:
+    """Least squares on smoothed positions where coarse ones spoil it, and the sentence for it.
 
-    With d the difference of both, C ≤ C_iv their covariances, and G = Σ_j W_jᵀ W_j / (n var τ_j),
-    n rows in all, instruments, which have no bias, miss tr G C_iv of the torque's variance, and
-    least squares, whose bias is b, bᵀ G b + tr G C, where E d dᵀ = b bᵀ + C_iv − C (Hausman 1978).
-    Noise is independent in W from even and from odd samples: it is no part of their product G.
-    Least squares that stays, as instruments are weak, has d dᵀ in its covariance: d may be bias.
+    Errors of the columns, noise of the motion or motion that is smoothed away, leave more of the
+    torque. Of the same torque and as many parameters, the columns of greater likelihood count.
     """
     share = coarseness(rows.data.train)
     if not (share > ATTENUATION).any():
         return fit, ""
+    smoothed, cutoffs_hz = smoothed_regression(rows)
     try:
-        even, odd = half_regressions(rows, recordings)
-        found = iv(even, odd)
-    except (np.linalg.LinAlgError, BadInput, RankDeficient):
+        found = weighted_least_squares(smoothed)
+    except RankDeficient:
         return fit, ""
-    torques = rows.reduced.counted(rows.reduced.tau)
-    size = believed(np.array([values.std() for values in torques]))
-
-    def power(x: Array) -> float:
-        both = np.einsum("njk,njk->j", even.torque(x), odd.torque(x))
-        return float((both / size**2).sum()) / sum(map(len, torques))
-
-    def variance(covariance: Array) -> float:
-        values, vectors = np.linalg.eigh(covariance)
-        return power(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-    more = max(variance(found.covariance) - variance(fit.covariance), 0.0)
-    d = fit.beta - found.beta
-    bias = power(d[:, None]) - more
-    if bias <= more:
-        return replace(fit, covariance=fit.covariance + np.outer(d, d)), ""
+    if np.log(found.sigma / fit.sigma).sum() >= 0:
+        return fit, ""
     worst = int(np.argmax(share))
     return found, (
         f"positions are coarse beside the motion (noise of {100 * share[worst]:.2g} % of the "
-        f"acceleration of {rows.robot.joints[worst]}): {ESTIMATORS['iv']} instead of least "
-        f"squares, whose bias is about {100 * np.sqrt(bias):.1g} % of the torque"
+        f"acceleration of {rows.robot.joints[worst]}): {ESTIMATORS['smooth']}, which count up to "
+        f"{_band(cutoffs_hz)}"
     )
+
+
+def _band(cutoffs_hz: Array) -> str:
+    return f"{cutoffs_hz.min():.3g} to {cutoffs_hz.max():.3g} Hz"
 
 
 def irls(problem: Regression) -> LeastSquares:
@@ -353,60 +321,6 @@ def _orthonormal(factor: Factor) -> Array:
     inverse = factor.inverse / factor.norms[:, None]
     parts = zip(problem.index, problem.columns, factor.weight, strict=True)
     return np.stack([X @ inverse[index] / w for index, X, w in parts], axis=1)
-
-
-def iv(problem: Regression, instruments: Regression) -> LeastSquares:
-    """Two-stage least squares: W projected on the instruments Z, then fitted to the torque.
-
-    Least squares is biased where W has errors, because WᵀW contains their squares. Instruments
-    have errors independent of those of W and of the torque, so that Zᵀ(τ − W β) = 0 has no such
-    term. Janot, Vandanjon, Gautier (2014) simulate the closed loop for them; here they are
-    columns on other samples of the same motion (`half_regressions`), at least as many. Variance is
-    larger than that of least squares; weak instruments leave bias, and so do columns that are no
-    linear functions of the noise (signs of velocities).
-
-    Raises:
-        RankDeficient: Columns, or instruments, that the motion does not show.
-    """
-    sigma = weighted_least_squares(problem).sigma
-    for _ in range(3):  # noise of each joint with instruments
-        factor = factorised(_projected(problem, instruments, sigma), sigma)
-        beta = factor.solve()
-        residual = problem.residual(beta)
-        sigma = noise_of(problem.counted(residual), len(beta))
-    return with_covariance(factor, beta, residual, sigma)
-
-
-def _projected(
-    problem: Regression, instruments: Regression, sigma: Array
-) -> Regression:
-    """The problem with the part of its columns that instruments explain."""
-    k = instruments.p
-    r = problem.p
-    norms = factorised(instruments, sigma).norms
-    both = instruments.with_columns(problem.W, problem.names)
-    scale = np.append(norms, np.ones(r))
-    R = triangle(both.stacked(1 / sigma)[:, :-1] / scale)
-    C = scipy.linalg.solve_triangular(R[:k, :k], R[:k, k:]) / norms[:, None]
-    pairs = zip(instruments.index, instruments.columns, strict=True)
-    explained = np.stack([Z @ C[index] for index, Z in pairs], axis=1)
-    return dense(explained, problem.tau, problem.names, problem.used)
-
-
-def half_regressions(
-    rows: FitRows, recordings: Sequence[Recording]
-) -> tuple[Regression, Regression]:
-    """Base columns from even and from odd samples at the rows of a fit, of recordings in order.
-
-    Errors are those of `half_segments`.
-    """
-    even, odd = (
-        rows.fitting(regression_of(rows.robot, rows.effects, half)).select(
-            rows.base.columns, rows.base.expressions
-        )
-        for half in half_segments(recordings, rows.data)
-    )
-    return even, odd
 
 
 def smoothed_regression(rows: FitRows) -> tuple[Regression, Array]:

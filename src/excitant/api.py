@@ -422,8 +422,8 @@ def identify_robot(
             ``"auto"`` for these and what the recordings call for.
         cutoff: Cut-off of the torque filter [Hz]; see `excitant.identify.split`.
         estimator: One of `excitant.identify.estimators.ESTIMATORS`; when None weighted least
-            squares, or where the recordings show gross errors of torque robust regression, where
-            they show coarse positions instrumental variables, which a note tells.
+            squares, on smoothed positions where the recordings show coarse ones, or robust
+            regression where they show gross errors of torque, which a note tells.
         trajectory: Commanded trajectory: without a cut-off the filter passes its highest harmonic.
         knowledge: What is known of the bodies beforehand.
         progress: Called while effects are chosen.
