@@ -11,8 +11,6 @@ their tolerance and the other causes, Λ the noise with its autocorrelation. The
 directions counts; where one is a special case of the other, only the general one can be A.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

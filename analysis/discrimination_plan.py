@@ -1,7 +1,5 @@
 """Next step of an undecided diagnosis: motions to run, or actions to take."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from contextlib import suppress

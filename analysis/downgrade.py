@@ -1,7 +1,5 @@
 """Reasons to call a confirmed cause undecided although it has no rival."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

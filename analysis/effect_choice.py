@@ -1,7 +1,5 @@
 """Choice of effects for an identification, by the evidence of a diagnosis."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

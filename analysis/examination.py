@@ -1,7 +1,5 @@
 """`examine`: all that recordings say of a given model, with one verdict on the model to use."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

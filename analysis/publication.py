@@ -1,7 +1,5 @@
 """Files of the models that an identification and a diagnosis end in, or why there are none."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any

@@ -4,8 +4,6 @@ The arm runs the motion, and again at 80 % of the speed as hold-out; its true va
 recovered. Then it changes, and the diagnosis of the identified model must name the change.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

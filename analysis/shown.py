@@ -1,7 +1,5 @@
 """Identification of what a recorded motion excites, however little that is."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

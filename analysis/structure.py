@@ -4,8 +4,6 @@ Every category is a decision on which sizes are zero; with nearly special geomet
 off a right angle) it depends on the tolerance, and the result says so.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -6,8 +6,6 @@ those of a diagnosis do is measured by ``benchmarks/diagnosis.py``, those of dis
 ``benchmarks/separation.py``, those of resolution by ``benchmarks/arms.py``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -1,7 +1,5 @@
 """Limits of a motion and its clearance from obstacles and itself, in continuous time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial

@@ -1,7 +1,5 @@
 """Information of a motion about the base parameters, its exact derivatives, and criteria."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Motions as files: CSV, exact coefficients in JSON, and the formats of robot controllers."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """Trajectories within all limits to start from, and why there may be none."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

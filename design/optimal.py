@@ -1,7 +1,5 @@
 """Design of excitation trajectories by sequential convex programming from many starts."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext

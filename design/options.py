@@ -1,7 +1,5 @@
 """Options of a design, the same from Python and the command line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """A motion as it is played to be watched: poses, use of the limits, and what comes close."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any

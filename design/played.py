@@ -1,7 +1,5 @@
 """A design as it is played: at a rate, repeated, slowly at first, from a pose and back to it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """The design problem in the free coefficients of a trajectory at rest at both ends."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """A design as the noun that reports and files are made of."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -13,8 +13,6 @@ and is sent only if the arm stands still where it begins; Ctrl-C cancels it. Rec
 Needs ROS 2 Humble or newer (rclpy, control_msgs, trajectory_msgs, sensor_msgs), nothing else.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time

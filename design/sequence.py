@@ -5,8 +5,6 @@ shows all base parameters of link i (Property 4, Khosla 1987). So it is designed
 the outer joints locked and the columns of link i in row i; limits are kept on the whole arm.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

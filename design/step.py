@@ -1,7 +1,5 @@
 """One convex step of the design: a small conic program for Clarabel."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

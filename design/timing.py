@@ -1,7 +1,5 @@
 """Motion to an excitation and back: time-optimal speed along a path that keeps all limits."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

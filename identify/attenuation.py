@@ -6,8 +6,6 @@ noisiest: noise δ as large as sensors leave it behind the filters makes E = W(q
 W(q, q̇, q̈), and rows enough average EᵀE.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

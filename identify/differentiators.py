@@ -10,8 +10,6 @@ periodogram. A polynomial with gain g then makes the acceleration error
     e² = ∫ S(f) (2πf)⁴ (g(f) − 1)² df + σ² · noise_gain².
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from math import factorial

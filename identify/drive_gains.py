@@ -30,8 +30,6 @@ the payload. The scale then follows from the payload alone (Gautier and Briot 20
 identification of joint drive gains and dynamic parameters of robots").
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

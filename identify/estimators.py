@@ -7,8 +7,6 @@
 | `smooth` | noise in the motion: columns on positions without it | Gautier 1997 |
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -8,8 +8,6 @@ over a window when in every such window no visible direction falls below α; lev
 to know a parameter better from the window than from the prior.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

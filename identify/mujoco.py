@@ -1,7 +1,5 @@
 """What MuJoCo says of the hold-out: torque of the exported models, by its inverse dynamics."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version

@@ -9,8 +9,6 @@ weighs a row of age a by exp(−a / τ); what was known beforehand is never forg
 motion shows nothing the estimate falls back to the prior.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ the arm came to each pose: it is the noise here, so that a joint whose torque va
 that shows friction and no gravity.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -19,8 +19,6 @@ recording when c is fitted to the other half. Torque is linear in c but for a ze
 is sought from all right angles.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Fitted and held-out data, the regression of an arm on them, and its accuracy."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple

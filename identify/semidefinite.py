@@ -12,8 +12,6 @@ its zero. The end lies within √(ν μ) posterior standard deviations of the mi
 logarithms, whatever the scales of data, prior and restrictions are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

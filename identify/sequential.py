@@ -22,8 +22,6 @@ no row of an outer joint is needed again; what is not known of them reaches η w
 row: the residual itself holds errors of outer values too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

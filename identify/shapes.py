@@ -12,8 +12,6 @@ p the prior density of `excitant.identify.prior`. τ(θ) is linearised where the
 halved until the objective falls.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any

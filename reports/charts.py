@@ -1,7 +1,5 @@
 """Figures as JSON, which the script of a page draws with uPlot."""
 
-from __future__ import annotations
-
 import json
 from base64 import b64encode
 from typing import Any

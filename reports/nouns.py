@@ -1,7 +1,5 @@
 """Folders and pages of nouns: a design, an estimate, an identifiability, a diagnosis, ..."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass

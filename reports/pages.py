@@ -1,7 +1,5 @@
 """From saved results to pages: of one run, of an examination, of several runs side by side."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The player of a motion: the arm in 3D with its limits and what comes close to it."""
 
-from __future__ import annotations
-
 from base64 import b64encode
 from collections.abc import Sequence
 from typing import Any

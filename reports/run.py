@@ -1,7 +1,5 @@
 """Run directories, saved whole or not at all, and read back."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

@@ -1,7 +1,5 @@
 """How numbers, units, names and sentences are written, and series of a run picked."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -5,8 +5,6 @@ does not depend on. An angle is taken as a multiple of 15°, other than zero, th
 unit of its last printed digit (3.1415 is π cut off), and no further than 2 mrad (3.14 is π).
 """
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Iterable, Iterator

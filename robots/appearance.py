@@ -1,7 +1,5 @@
 """How an arm looks to a viewer: the tree of its joints, and the shapes that they carry."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property

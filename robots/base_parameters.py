@@ -8,8 +8,6 @@ Decisions are taken on columns in units of the arm, over states drawn in units o
 and gravity as well as within its limits, so that they are the same for an arm in millimetres.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal

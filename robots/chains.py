@@ -1,7 +1,5 @@
 """Selection of the moving joints: a chain of a larger tree, the rest held in place."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property

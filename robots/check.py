@@ -6,8 +6,6 @@ within. A tensor about the joint frame given as one about the centre of mass c s
 (Steiner).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property

@@ -30,8 +30,6 @@ both along the axes of the link frame, with products as tensor elements (xy is â
 ``limits``, ``lock``, ``joints`` and ``effects`` are as for any arm.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ value has attributes but those listed here. Time and memory are bounded by the p
 file is read (`excitant.limited`).
 """
 
-from __future__ import annotations
-
 import ast
 import builtins
 import math

@@ -1,7 +1,5 @@
 """Files of others: read up to a size and a depth, and only where their text may point to."""
 
-from __future__ import annotations
-
 import os
 import re
 import xml.etree.ElementTree as ET

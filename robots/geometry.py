@@ -1,7 +1,5 @@
 """Geometry of an arm's bodies: links as stated, obstacles, and distances."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product

@@ -1,7 +1,5 @@
 """Limits of joints in YAML or JSON files, those of MoveIt and ros2_control among them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Finding a robot by built-in name or file."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Convex hulls of mesh files, made in a child process: a damaged mesh may end it, not this one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache

@@ -3,8 +3,6 @@
 MuJoCo gets texts and bytes under names that are given here, never a path.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib.util import find_spec

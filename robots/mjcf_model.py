@@ -7,8 +7,6 @@ URDF has no word for is kept beside it: gravity, armatures, springs, loops. This
 in a child process, which opens no file.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Obstacles in YAML or JSON files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -10,8 +10,6 @@ The pseudo-inertia (Wensing, Kim, Slotine 2018) of a body is
 and a body of positive mass density exists for the parameters exactly when P ≻ 0.
 """
 
-from __future__ import annotations
-
 import io
 from dataclasses import dataclass
 from pathlib import Path

@@ -10,8 +10,6 @@ because of the form of Y:
   the derivative; for a prismatic joint a polynomial of degree 2, so a central difference is.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

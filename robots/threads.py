@@ -1,7 +1,5 @@
 """One thread for linear algebra: the same digits on every machine, and faster on small matrices."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, TypeVar
 

@@ -1,7 +1,5 @@
 """Torque of a robot with its effects, and the columns of everything that is linear in it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

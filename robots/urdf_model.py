@@ -1,7 +1,5 @@
 """Pinocchio's model of a URDF with all its joints."""
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """Bodies, shapes and meshes that a URDF states, and the writing of a URDF: a `Format` of robots."""
 
-from __future__ import annotations
-
 import os
 from functools import lru_cache
 from itertools import product

@@ -6,8 +6,6 @@ effects of the nominal arm are read by their names and their parameters' names a
 their formulas.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence

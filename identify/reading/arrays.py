@@ -1,7 +1,5 @@
 """Archives of arrays, and the size up to which data are read."""
 
-from __future__ import annotations
-
 import math
 import zipfile
 from io import BytesIO

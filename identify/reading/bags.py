@@ -1,7 +1,5 @@
 """ROS bags and MCAP: joint states as a table, and the arm that a bag describes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace

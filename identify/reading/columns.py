@@ -5,8 +5,6 @@ was measured, and nothing that could change its meaning, where one complete set 
 Otherwise the log is refused with the map to write.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

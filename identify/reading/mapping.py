@@ -1,7 +1,5 @@
 """Column maps: what a user says of the columns of a log, in YAML."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """MAT files, loaded in a child process: SciPy trusts them, and a damaged one may end it."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from pathlib import Path

@@ -4,8 +4,6 @@ The vocabulary is a table of words: a new logger, vendor or language is a word i
 a unit is a row of `excitant.identify.reading.units`.
 """
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence

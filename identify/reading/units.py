@@ -1,7 +1,5 @@
 """Units of logged quantities, as a table: a new unit or spelling is one row, or a word in it."""
 
-from __future__ import annotations
-
 import math
 import unicodedata
 from typing import NamedTuple, TypeAlias

@@ -1,7 +1,5 @@
 """What was identified: friction over velocity, and parameters beside the given ones."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A motion against its limits, joint by joint."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Estimates while samples come in, with their bands."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from excitant.reports import values as v

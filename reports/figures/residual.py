@@ -1,7 +1,5 @@
 """What a residual goes with: the quantity that shows an effect, state, load, and frequency."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """What a motion shows."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from excitant.reports import values as v

@@ -1,7 +1,5 @@
 """Torque over time against what models predict, and how closely an arm follows with each."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Section on what can be identified: in principle, with a given motion, and link by link."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from excitant.reports import page as p

@@ -1,7 +1,5 @@
 """Sections on a motion: designed, checked, or rehearsed on a virtual arm."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Section on what the model gets wrong, and what would settle open questions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from excitant.names import listed

@@ -1,7 +1,5 @@
 """Page of an examination: the verdict, what it rests on joint by joint, then every section."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Section on a fleet: which arms differ, what changes with time, what was not examined."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from excitant.reports import page as p

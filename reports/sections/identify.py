@@ -1,7 +1,5 @@
 """Section on identified parameters and how well they predict."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Section on one arm: what it looks like, its joints and links, and what looks wrong."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 Each is a URDF with a YAML of the limits and effects that a URDF cannot hold, or such a YAML alone.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from importlib import resources
 

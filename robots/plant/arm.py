@@ -14,8 +14,6 @@ Coordinates x are the link positions q, and behind them the motor angle (at the 
 every joint with an elastic gear. That motor carries the joint's rotor, friction and encoder.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Hidden effects by name, and planting them: from a name and parameters to physics of the plant."""
 
-from __future__ import annotations
-
 import inspect
 import math
 from collections.abc import Callable, Iterable

@@ -1,7 +1,5 @@
 """Sensors of the plant: the record of a run, with noise and systematic errors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

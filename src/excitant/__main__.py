@@ -1,7 +1,5 @@
 """The process around a command: ``python -m excitant`` and the script ``excitant``."""
 
-from __future__ import annotations
-
 import gc
 import io
 import os

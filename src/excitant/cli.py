@@ -1,7 +1,5 @@
 """The command line: one application, one error boundary, exit status."""
 
-from __future__ import annotations
-
 import inspect
 import os
 import re

@@ -1,7 +1,5 @@
 """The main job, end to end, on a virtual arm that hides an effect from its user."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Everything excitant refuses, each with its evidence and what to do about it."""
 
-from __future__ import annotations
-
 import copyreg
 import difflib
 from collections.abc import Iterable, Sequence

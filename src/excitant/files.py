@@ -1,7 +1,5 @@
 """Files: read within bounds, written whole or not at all."""
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import fcntl

@@ -4,8 +4,6 @@ Python drops what a destructor or the callback of a weak reference raises, and i
 these. So a signal counts until it was `heard`, and long work asks for it (`check`).
 """
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Iterator

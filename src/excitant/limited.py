@@ -4,8 +4,6 @@ The child inherits the folders that Python imports from, never the working folde
 files. What it costs is the start of an interpreter: about 0.1 s of processor time.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import signal

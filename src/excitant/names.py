@@ -1,7 +1,5 @@
 """Names that others chose, of joints, columns and files, as they can be shown and used."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 Processes here leave Ctrl-C to the one that started them, and end with it.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

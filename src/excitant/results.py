@@ -6,8 +6,6 @@ in rad, inertias about the joint frame. A number that is not known is null; a fi
 default null may be missing. Files are paths as printed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from datetime import date
 from typing import Any, Literal, TypeAlias

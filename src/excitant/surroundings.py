@@ -1,7 +1,5 @@
 """What an arm is to keep within and clear of, as commands and Python functions take it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 
