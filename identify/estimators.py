@@ -348,7 +348,9 @@ def _smoothed(segment: Segment) -> tuple[Segment, Array]:
     pairs = zip(q.T, cutoff_hz.tolist(), strict=True)
     smooth = np.column_stack([low_pass(channel, hz, rate) for channel, hz in pairs])
     keep = segment.keep
-    edge = max(keep.start, round(rate / float(cutoff_hz.min())))
+    moves = segment.motion.dq.any(axis=0)  # a joint that stands has no edges
+    lowest = float(cutoff_hz[moves].min(initial=widest))
+    edge = max(keep.start, round(rate / lowest))
     skipped = -(-(edge - keep.start) // keep.step)
     first = keep.start + keep.step * skipped
     inner = slice(first, min(keep.stop, len(t) - edge), keep.step)

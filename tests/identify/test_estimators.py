@@ -20,7 +20,7 @@ from excitant.identify.least_squares import (
     weighted_least_squares,
 )
 from excitant.identify.physical import fit_physical
-from excitant.identify.preprocessing import prepare
+from excitant.identify.preprocessing import prepare, stilled
 from excitant.identify.prior import prior_parameters
 from excitant.identify.regression import dense
 from excitant.identify.rows import fit_rows, split
@@ -303,3 +303,6 @@ def test_smoothed_positions_are_better_than_a_bad_filter(planar: Robot) -> None:
     assert error < 0.2 * plain
     # the motion ends at 0.83 Hz; positions pass 2.5 times as far, or a little more
     assert 2.5 * 0.83 <= bandwidth_hz.min() <= bandwidth_hz.max() < 6
+    [train] = rows.data.train
+    still = replace(rows, data=replace(rows.data, train=(stilled(train, np.array([True, False])),)))
+    assert len(smoothed_regression(still)[0]) >= len(smoothed)
