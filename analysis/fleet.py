@@ -26,13 +26,10 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from excitant.results import Deviation, Difference, Drift
-from excitant.robots.motion import Array
-
-Mask = npt.NDArray[np.bool_]
+from excitant.robots.motion import Array, Indices, Mask
 
 CHANCE = 0.05  # of a false alarm in a fleet
 FEWEST_ARMS = 4  # of which one can be told from the others
@@ -188,7 +185,7 @@ class _Group:
     name: str
     unit: str
     arms: tuple[str, ...]
-    arm: npt.NDArray[np.intp]  # of each data set
+    arm: Indices  # of each data set
     days: Array  # since 1970, nan where unknown
     x: Array
     variance: Array  # s²
@@ -204,7 +201,7 @@ class _Group:
         return np.asarray(known & (dates >= FEWEST_DATES)[self.arm], bool)
 
     @cached_property
-    def lines(self) -> npt.NDArray[np.intp]:
+    def lines(self) -> Indices:
         """Arms with a line."""
         return np.unique(self.arm[self.dated])
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 import scipy
 
@@ -35,15 +34,13 @@ from excitant.robots.base_parameters import (
     regroup,
 )
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Motion
+from excitant.robots.motion import Array, Mask, Motion
 from excitant.robots.parameters import pseudo_inertia
 from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values, observation_columns, torque
 
 if TYPE_CHECKING:
     from excitant.identify.estimate import Estimate
-
-Mask = npt.NDArray[np.bool_]
 
 NOT_SHOWN = "not_shown"
 ROUNDING = 1e-9  # smallest singular value of normalised columns, relative

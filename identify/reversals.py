@@ -29,7 +29,7 @@ from excitant.identify.least_squares import (
 )
 from excitant.identify.preprocessing import Mask, certain_rows, top_speed
 from excitant.identify.regression import effect_columns, regression_of
-from excitant.identify.rows import Data, FitRows, counted_rows
+from excitant.identify.rows import Data, FitRows, counted_rows, places_of
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import (
     Effect,
@@ -146,13 +146,10 @@ def turned_rows(
     least = np.max([s.least_speed for s in data.train], axis=0)
     top = top_speed(data.train)
     found = list[Turning]()
-    end = 10 * robot.nv
-    for effect in effects:
-        start = end
-        end += len(effect.parameters(robot))
+    for effect, own_columns in places_of(robot, effects):
         if turning(effect, 1.0) == effect:
             continue
-        for column, single in enumerate(effect.singles(), start):
+        for column, single in enumerate(effect.singles(), own_columns.start):
             if column not in base.columns:
                 continue
             [j] = single.rows(robot)
@@ -299,17 +296,14 @@ def turning_spread(rows: FitRows, fit: LeastSquares, covariance: Array) -> Array
     """
     slopes = []
     beta = dict(zip(rows.base.columns, fit.beta, strict=True))
-    end = 10 * rows.robot.nv
-    for effect in rows.effects:
-        start = end
-        end += len(effect.parameters(rows.robot))
+    for effect, columns in places_of(rows.robot, rows.effects):
         if not turning_speed(effect):
             continue
         speeds = turning_speed(effect) * np.exp([0.0, REVERSALS.difference])
         near = [turning(effect, v) for v in speeds.tolist()]
         less, more = effect_columns(rows.robot, near, rows.data.train)
         change = more.on(rows.robot.nv) - less.on(rows.robot.nv)
-        slopes.append(change * beta[start] / REVERSALS.difference)
+        slopes.append(change * beta[columns.start] / REVERSALS.difference)
     if not slopes:
         return np.zeros((len(covariance), 0))
     D = np.concatenate(slopes, axis=2)

@@ -1,6 +1,6 @@
 """Fitted and held-out data, the regression of an arm on them, and its accuracy."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -398,11 +398,18 @@ def implausible_size(columns: Array, tau: Array) -> Array:
     return std
 
 
+def places_of(
+    robot: Robot, effects: Sequence[Effect]
+) -> Iterator[tuple[Effect, slice]]:
+    """Each effect with its columns among those of all parameters, after those of the links."""
+    stop = 10 * robot.nv
+    for effect in effects:
+        start = stop
+        stop += len(effect.parameters(robot))
+        yield effect, slice(start, stop)
+
+
 def identified_robot(robot: Robot, effects: Sequence[Effect], x: Array) -> Robot:
     """The robot with identified inertias and effects; x as in `PhysicalFit`."""
-    counts = [len(effect.parameters(robot)) for effect in effects]
-    phi, *values = np.split(x, np.cumsum([10 * robot.nv, *counts])[:-1])
-    valued = [
-        effect.with_values(own) for effect, own in zip(effects, values, strict=True)
-    ]
-    return robot.with_parameters(phi).with_effects(valued)
+    valued = [e.with_values(x[own]) for e, own in places_of(robot, effects)]
+    return robot.with_parameters(x[: 10 * robot.nv]).with_effects(valued)

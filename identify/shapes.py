@@ -12,7 +12,6 @@ p the prior density of `excitant.identify.prior`. τ(θ) is linearised where the
 halved until the objective falls.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,7 +24,7 @@ from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.prior import BodyPrior, EffectPrior
 from excitant.identify.regression import regression_of, triangle
-from excitant.identify.rows import FitRows
+from excitant.identify.rows import FitRows, places_of
 from excitant.identify.signals import live
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, joint_facts
@@ -176,7 +175,7 @@ def refined_shapes(
 
 @dataclass(frozen=True)
 class _Place:
-    """An effect with a shape: its position among all, its columns among theirs, the field."""
+    """An effect with a shape: its position among all, its columns, the field."""
 
     effect: int
     columns: slice
@@ -201,15 +200,11 @@ class _Search:
         W = self.problem.W
         self.R = (W * self.weight[:, None]).reshape(-1, W.shape[2])
         self.z = (self.problem.tau * self.weight).ravel()
-        self.places = list(self._places())
-
-    def _places(self) -> Iterator[_Place]:
-        start = 0
-        for k, effect in enumerate(self.effects):
-            stop = start + len(effect.parameters(self.robot))
-            if effect.search.tuned is not None:
-                yield _Place(k, slice(start, stop), effect.search.tuned.name)
-            start = stop
+        self.places = [
+            _Place(k, own, effect.search.tuned.name)
+            for k, (effect, own) in enumerate(places_of(rows.robot, rows.effects))
+            if effect.search.tuned is not None
+        ]
 
     def columns(self, effect: Effect) -> Array:
         """Whitened columns of an effect at the rows, shape (rows, k)."""
@@ -258,8 +253,7 @@ class _Search:
         facts = joint_facts([segment.motion for segment in self.fitted.data.train])
         for place in self.places:
             effect = self.effects[place.effect]
-            own = np.r_[place.columns] + self.links
-            others = np.delete(self.R, own, axis=1)
+            others = np.delete(self.R, place.columns, axis=1)
             others = others[:, live(others)]
             unit = others / np.linalg.norm(others, axis=0)
             Q, R, _ = scipy.linalg.qr(unit, mode="economic", pivoting=True)
@@ -293,9 +287,8 @@ class _Search:
     def _all_columns(self, log_shapes: Array) -> Array:
         """Whitened columns of links and effects with these shapes, shape (rows, p)."""
         columns = self.R.copy()
-        effects = columns[:, self.links :]
         for place, log_shape in zip(self.places, log_shapes, strict=True):
-            effects[:, place.columns] = self._shaped(place, log_shape)
+            columns[:, place.columns] = self._shaped(place, log_shape)
         return columns
 
     def _objective(self, x: Array, prior: BodyPrior, known: EffectPrior) -> float:
@@ -316,10 +309,7 @@ class _Search:
             columns = self._all_columns(x[p:])
             slopes = []
             for place, log_shape in zip(self.places, x[p:], strict=True):
-                own = slice(
-                    self.links + place.columns.start,
-                    self.links + place.columns.stop,
-                )
+                own = place.columns
                 ahead = self._shaped(place, log_shape + REFINEMENT.difference)
                 change = (ahead - columns[:, own]) @ x[own]
                 slopes.append(change / REFINEMENT.difference)
