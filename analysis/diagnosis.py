@@ -425,13 +425,17 @@ def _coarse_sentence(share: Array, joints: Sequence[str]) -> str:
 
 
 def _impossible(mounted: SetUp, fit: Extension, holdout: Holdout) -> str:
-    """What is physically impossible in the data or in the best model, with all causes; or empty."""
+    """What is doubtful or impossible in the data or the best model, with all causes; or empty."""
     judged = replace(holdout, predicted=fit.predicted)
     against = [
         each.why for each in objections(fit.model, judged) if not each.relative
     ]
     first = next(iter((*mounted.standing, *against)), "")
-    return first and f"something impossible stands beside it: {first}"
+    return (
+        f"something impossible stands beside it: {first}"
+        if first
+        else mounted.doubt
+    )
 
 
 def _halves(

@@ -6,6 +6,7 @@ data (signs, order, units, clock) are repaired, mounting and zero positions chan
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +18,13 @@ from excitant.analysis.evidence import Candidate
 from excitant.analysis.selection import Rival
 from excitant.exceptions import BadRobot
 from excitant.identify.faults import Checked, Fault, check_recordings
-from excitant.identify.faults.fault import INSTALLATION, OPEN, PROVEN, is_modelled
+from excitant.identify.faults.fault import (
+    DOUBT,
+    INSTALLATION,
+    OPEN,
+    PROVEN,
+    is_modelled,
+)
 from excitant.identify.faults.installation import (
     Installation,
     inertias_beyond_size,
@@ -121,9 +128,19 @@ class SetUp:
         ]
 
     @property
+    def doubt(self) -> str:
+        """What the log may mean otherwise, though less likely; or empty."""
+        every = itertools.chain(*self.checked.faults.values())
+        return next((f.detail for f in every if DOUBT in f.evidence), "")
+
+    @property
     def standing(self) -> list[str]:
         """Faults that leave every figure wrong and that nothing repairs, a sentence each."""
-        return [f.detail for _, f in self._of_data if not f.repairable]
+        return [
+            f.detail
+            for _, f in self._of_data
+            if not f.repairable and DOUBT not in f.evidence
+        ]
 
     def amends(self, fault: Mapping[str, Any]) -> bool:
         """Whether a fault, under its JSON names, is repaired or in the model."""

@@ -23,6 +23,7 @@ from excitant.identify.faults.channels import (
     wrapped_counters,
 )
 from excitant.identify.faults.fault import (
+    DOUBT,
     FAULTS,
     INSTALLATION,
     NO_TORQUE,
@@ -316,6 +317,7 @@ def proven(entries: Sequence[Mapping[str, Any]]) -> list[str]:
         f"{fault['recording']}: {fault['detail']}"
         for fault in entries
         if not fault["repaired"]
+        and DOUBT not in fault["evidence"]
         and (
             fault["fault"] in PROVEN
             or "jumps" in fault["evidence"]

@@ -54,6 +54,8 @@ FAULTS = (
 """The vocabulary, the same in results, interface and documentation."""
 OPEN = "open"
 """Evidence of a fault that another column of its joint may have: the torque would be the same."""
+DOUBT = "doubt"
+"""Evidence of a fault that the torque speaks for, but that is less likely than none."""
 NO_TORQUE = "dead_channel", "tau"
 """Fault and channel of a joint whose torque tells nothing."""
 ALARM = 0.02 / 20

@@ -26,6 +26,7 @@ from excitant.exceptions import BadRecording
 from excitant.identify.drive_gains import BODY_STD
 from excitant.identify.faults.fault import (
     ALARM,
+    DOUBT,
     FAULTS,
     INSTALLATION,
     OPEN,
@@ -196,6 +197,7 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
         return beyond + faults
     best = Installation()
     reasons = dict[int, Sequence[Any]]()
+    doubts = list[Fault]()
     for _ in range(case.robot.nv):
         tried = [best.joined(move) for move in _moves(best.fit(case))]
         judged = sorted(_judge(case, tried), key=lambda each: -each.odds)
@@ -206,6 +208,8 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
             if each.odds > 0 and _likelier(case, each.installation, best)
         ]
         if not likely:
+            if not best.faults:
+                doubts = _doubts(case, judged)
             break
         stands, *same = _judge(case, [Installation(), *likely])
         simplest, *reason = _simplest(stands, same, case)
@@ -214,7 +218,7 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
         if simplest.squares < float(case.rows.sum()):
             break
     if not best.faults or not _throughout(case, best):
-        return beyond
+        return beyond + doubts
     faults = [*best.faults]
     for k, (because, more) in reasons.items():
         fault = faults[k]
@@ -225,6 +229,37 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
         (k for k, f in enumerate(faults) if OPEN in f.evidence), len(faults)
     )
     return faults[:first] + [as_guess(fault) for fault in faults[first:]]
+
+
+def _doubts(case: TorqueFit, judged: Sequence[_Judged]) -> list[Fault]:
+    """What the torque speaks for, yet not beyond the odds against any other installation."""
+    against = odds_against(case.robot)
+    likely = [
+        found
+        for each in judged[: SEARCH.tried]
+        if (found := _likelier(case, each.installation, Installation(), -against))
+    ]
+    if not likely:
+        return []
+    [stands] = _judge(case, [Installation()])
+    best, because, evidence = _simplest(stands, likely, case)
+    if not _throughout(case, best.installation):
+        return []
+    why = (
+        f"{because}, but so may it be that of other bodies: undecided (odds of "
+        f"{np.exp(best.odds / 2):.2g}); record dq too, which shows the clock, and known loads, "
+        "which show units, signs and zero positions"
+    )
+    return [
+        as_guess(
+            replace(
+                fault,
+                detail=f"perhaps {fault.detail}{why}",
+                evidence={**fault.evidence, **evidence, DOUBT: True},
+            )
+        )
+        for fault in best.installation.faults
+    ]
 
 
 def _polished(case: TorqueFit, installation: Installation) -> Installation:
@@ -341,14 +376,20 @@ def _throughout(case: TorqueFit, installation: Installation) -> bool:
 
 
 def _likelier(
-    case: TorqueFit, installation: Installation, other: Installation
+    case: TorqueFit,
+    installation: Installation,
+    other: Installation,
+    least: float = 0.0,
 ) -> _Judged | None:
-    """An installation, if it is likelier than another, and leaves half its squares, or fits."""
+    """An installation that leaves half the squares of another, or fits, and is likelier.
+
+    That is by twice the log odds that are given.
+    """
     theirs, mine = _judge(case, [other, installation])
     allowed = max(
         SEARCH.halved * theirs.squares, SEARCH.fits * float(case.rows.sum())
     )
-    likelier = mine.odds > theirs.odds and mine.squares <= allowed
+    likelier = mine.odds > theirs.odds + least and mine.squares <= allowed
     return mine if likelier else None
 
 
