@@ -165,7 +165,9 @@ class Installation:
         data = case.data.remedied(self.remedies)
         robot = self.robot(case.robot)
         joints = frozenset(unscaled) | case.unscaled
-        return TorqueFit(robot, case.log, data, case.joints, joints)
+        # what was taken off is known no better than the bodies
+        weighed = None if robot.gravity.any() else case.robot
+        return TorqueFit(robot, case.log, data, case.joints, joints, weighed)
 
     def joined(self, other: Installation) -> Installation:
         """It and another that was found in it."""

@@ -24,7 +24,7 @@ from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.signals import differentiated, low_pass
 from excitant.robots.motion import Array, Motion, read_only
-from excitant.robots.regressor import regressor
+from excitant.robots.regressor import regressor, rigid_body_torque
 from excitant.robots.robot import Robot
 
 MODEL_ERROR = 0.05  # of a torque's rms: errors of the model that count as noise
@@ -164,6 +164,8 @@ class TorqueFit:
         data: The same, filtered.
         joints: The k joints whose torque counts.
         unscaled: Those of them whose readings are torque by an unknown factor.
+        weighed: The arm under the gravity that errors of the nominal bodies bear, where the torque
+            that holds those was taken off.
     """
 
     robot: Robot
@@ -171,6 +173,7 @@ class TorqueFit:
     data: Smooth
     joints: Sequence[int]
     unscaled: frozenset[int] = frozenset()
+    weighed: Robot | None = None
 
     @cached_property
     def tau(self) -> Array:
@@ -184,8 +187,12 @@ class TorqueFit:
 
     def _columns(self) -> Array:
         """Filtered columns of the links in `nominal_bodies`, shape (n, nv, 10 nv + 1)."""
-        columns = regressor(self.robot, self.data.motion)
-        return self.data.filtered(columns @ nominal_bodies(self.robot))
+        motion = self.data.motion
+        bodies = nominal_bodies(self.robot)
+        columns = regressor(self.weighed or self.robot, motion) @ bodies
+        if self.weighed:
+            columns[:, :, -1] = rigid_body_torque(self.robot, motion)
+        return self.data.filtered(columns)
 
     @cached_property
     def size(self) -> Array:
