@@ -951,10 +951,7 @@ def _torque_beyond_limits(case: TorqueFit, registers: bool) -> Iterator[Fault]:
     factor = next(
         (f for f in powers if typical / f < SEARCH.least_scale), max(powers)
     )
-    gains, std = case.gains
-    clear = std < SEARCH.clear_scale
-    off = np.abs(np.log(gains[clear] / factor))
-    likely = clear.any() and np.median(off) < np.log(SEARCH.least_scale)
+    likely = _is_unit(case, np.full(len(limit), factor))
     detail = f"tau is {typical:.3g} times the torque limit (median over joints)"
     fault = Fault(
         "wrong_unit",
@@ -973,6 +970,14 @@ def _torque_beyond_limits(case: TorqueFit, registers: bool) -> Iterator[Fault]:
     yield fault
 
 
+def _is_unit(fit: TorqueFit, factors: Array) -> bool:
+    """Whether factors, (k,), bring the torque near that of nominal bodies where it tells one."""
+    gains, std = fit.gains
+    clear = std < SEARCH.clear_scale
+    off = np.abs(np.log(gains / factors))[clear]
+    return len(off) > 0 and bool(np.median(off) < np.log(SEARCH.least_scale))
+
+
 def _of_limits(fit: TorqueFit) -> Iterator[Installation]:
     """Torque in parts of each joint's limit, as drives tell it."""
     limit = fit.robot.limits.torque
@@ -982,6 +987,8 @@ def _of_limits(fit: TorqueFit) -> Iterator[Installation]:
     if (fit.left() < SEARCH.explained).all():
         return
     for whole, name in ((100.0, "per cent"), (1000.0, "per mille")):
+        if not _is_unit(fit, whole / limit[fit.joints]):
+            continue
         remedies = (
             Remedy("scale", "tau", (j,), factor=most / whole)
             for j, most in enumerate(limit.tolist())
@@ -1004,7 +1011,9 @@ def _scales(fit: TorqueFit) -> Iterator[Installation]:
     if fit.log.unit != "N·m" or fit.unscaled:
         return
     gains, std = fit.gains
-    far = np.abs(np.log(gains)) > np.log(SEARCH.least_scale)
+    # of bodies that are off, and of noise
+    scatter = np.maximum(std / BODY_STD, 1.0)
+    far = np.abs(np.log(gains)) > scatter * np.log(SEARCH.least_scale)
     clear = std < SEARCH.clear_scale
     some = np.flatnonzero(far & clear)
     # a load makes the torque of bodies, however large
