@@ -781,7 +781,13 @@ def _coefficients(
         return value, np.zeros(len(at)), fit.covariance[np.ix_(at, at)]
     before = coefficients_of(robot, robot, effect)
     places = fit.places(effect)
-    return value, before, fit.covariance[np.ix_(places, places)]
+    covariance = np.array(fit.covariance[np.ix_(places, places)])
+    if fit.extender is not None:
+        motions = [segment.motion for segment in fit.extender.train.segments]
+        covariance += effect.between_samples(fit.model, motions) * np.eye(
+            len(places)
+        )
+    return value, before, covariance
 
 
 def coefficients_of(model: Robot, robot: Robot, effect: Effect) -> Array:

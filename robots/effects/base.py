@@ -318,6 +318,10 @@ class Effect(ABC):
         """Torque that the joints must give for it, shape (n, nv) [N·m]."""
         return self.columns(robot, motion) @ np.array(self.coefficients)
 
+    def between_samples(self, robot: Robot, motions: Sequence[Motion]) -> float:
+        """Variance of each coefficient by what happens between samples; none."""
+        return 0.0
+
     @property
     def coefficients(self) -> tuple[float, ...]:
         """Its values; ValueError while they are unknown."""
