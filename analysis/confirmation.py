@@ -782,11 +782,12 @@ def _coefficients(
     before = coefficients_of(robot, robot, effect)
     places = fit.places(effect)
     covariance = np.array(fit.covariance[np.ix_(places, places)])
-    if fit.extender is not None:
-        motions = [segment.motion for segment in fit.extender.train.segments]
-        covariance += effect.between_samples(fit.model, motions) * np.eye(
-            len(places)
-        )
+    between_samples = effect.physics.between_samples
+    if fit.extender and between_samples:
+        at = effect.rows(robot)
+        segments = fit.extender.train.segments
+        variances = [between_samples(fit.model, x.motion, at) for x in segments]
+        covariance += np.mean(variances) / len(segments)
     return value, before, covariance
 
 

@@ -94,12 +94,15 @@ class Physics:
         smooth: Whether its torque is as smooth as the motion and never jumps.
         dry: Whether it holds a joint at rest, by any torque up to that of motion.
         amends: Whether it is by what another effect's law is wrong: a model holds the other.
+        between_samples: Variance of its coefficient by what happens between the samples of a
+            motion, at some joints.
     """
 
     depends_on: Literal["motion", "bodies", "torque", "given torque"] = "bodies"
     smooth: bool = False
     dry: bool = False
     amends: bool = False
+    between_samples: Callable[[Robot, Motion, list[int]], float] | None = None
 
     @property
     def on_model(self) -> bool:
@@ -317,10 +320,6 @@ class Effect(ABC):
     def torque(self, robot: Robot, motion: Motion) -> Array:
         """Torque that the joints must give for it, shape (n, nv) [N·m]."""
         return self.columns(robot, motion) @ np.array(self.coefficients)
-
-    def between_samples(self, robot: Robot, motions: Sequence[Motion]) -> float:
-        """Variance of each coefficient by what happens between samples; none."""
-        return 0.0
 
     @property
     def coefficients(self) -> tuple[float, ...]:

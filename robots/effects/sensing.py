@@ -74,6 +74,21 @@ class TorqueGain(Effect):
         return columns
 
 
+def _between_samples(robot: Robot, motion: Motion, joints: list[int]) -> float:
+    """Variance of a delay by steps of torque where dry friction turns [s²].
+
+    A step shows at the next sample, whenever it was between the two: that is uniform, of variance
+    T²/12. It has the weight of its square among the changes of torque.
+    """
+    tau = carried_torque(robot, motion)[:, joints]
+    dq = motion.dq[:, joints]
+    changes = np.diff(tau, axis=0) ** 2
+    turns = dq[1:] * dq[:-1] < 0
+    weight = (changes / np.maximum(changes.sum(axis=0), 1e-300))[turns]
+    period = float(motion.t[1] - motion.t[0])
+    return float(weight @ weight) * period**2 / 12 / len(joints) ** 2
+
+
 @registered
 class TimeDelay(Effect):
     """Reading(t) = τ(t − d), to first order in d around a trial delay.
@@ -84,7 +99,7 @@ class TimeDelay(Effect):
     name = "time_delay"
     family = "reading"
     terms = (Parameter("delay", "s", typical=0.05),)
-    physics = Physics("torque")
+    physics = Physics("torque", between_samples=_between_samples)
     search = Search(
         shapes=(
             Shape(
@@ -126,24 +141,6 @@ class TimeDelay(Effect):
             late = np.interp(t - self.trial, t, tau[:, j])
             columns[:, j, 0] = (late - tau[:, j]) / self.trial
         return columns
-
-    def between_samples(self, robot: Robot, motions: Sequence[Motion]) -> float:
-        """Variance of the delay by steps of torque where dry friction turns [s²].
-
-        A step shows at the next sample, whenever it was between the two: that is uniform, of
-        variance T²/12. It has the weight of its square among the changes of torque.
-        """
-        rows = self.rows(robot)
-        variances = []
-        for motion in motions:
-            tau = carried_torque(robot, motion)[:, rows]
-            dq = motion.dq[:, rows]
-            changes = np.diff(tau, axis=0) ** 2
-            turns = dq[1:] * dq[:-1] < 0
-            weight = (changes / np.maximum(changes.sum(axis=0), 1e-300))[turns]
-            period = float(motion.t[1] - motion.t[0])
-            variances.append(period**2 / 12 * weight @ weight / len(rows) ** 2)
-        return float(np.mean(variances)) / len(variances)
 
 
 def _saturation(
