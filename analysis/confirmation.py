@@ -784,9 +784,9 @@ def _coefficients(
     covariance = np.array(fit.covariance[np.ix_(places, places)])
     between_samples = effect.physics.between_samples
     if fit.extender and between_samples:
-        at = effect.rows(robot)
+        joints = effect.rows(robot)
         segments = fit.extender.train.segments
-        variances = [between_samples(fit.model, x.motion, at) for x in segments]
+        variances = [between_samples(fit.model, x.motion, joints) for x in segments]
         covariance += np.mean(variances) / len(segments)
     return value, before, covariance
 
