@@ -40,7 +40,7 @@ SLIDING, CORRELATION = 0.1, 0.1  # the same of sliding joints [m/rad]; of colour
 BURST, SHARE, SIZE = 0.1, 0.03, 3.0  # length [s], share of the time, times the torque's rms
 GAIN, SPREAD = 10.0, (0.3, 0.5)  # median of drives [N·m/A]; std of their logarithms
 PLACEHOLDER = np.array([1e-3, 0, 0, 0, *(1e-6 * np.eye(3))[np.triu_indices(3)]])  # kg, kg·m²
-METHODS = {"default": None, "wls": "wls", "irls": "irls", "smooth": "smooth"}
+METHODS = {"default": None, "wls": "wls", "irls": "irls", "iv": "iv"}
 Scores = list[tuple[str, float]]
 
 

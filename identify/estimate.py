@@ -58,6 +58,7 @@ from excitant.identify.rows import (
     Poses,
     effects_of,
     fit_rows,
+    fitted,
     gains_of,
     identified_robot,
     predicted_torque,
@@ -375,7 +376,7 @@ def identify_robot(
     if shapes is not None:
         rows = shapes.rows(rows) if shapes.better else rows
         notes += (shapes.sentence,)
-    fit, name, remarks = estimated(rows, estimator)
+    fit, name, remarks = estimated(rows, fitted(recordings, validate), estimator)
     R, z = rows.regression.factor(fit.weight)
     noise = _of_noise(rows, fit)
     if name in BIASED:

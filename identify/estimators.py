@@ -4,6 +4,7 @@
 |---|---|---|
 | `wls` | joints of different noise | Gautier 1997 |
 | `irls` | wrong torques here and there | Huber and Ronchetti 2009 |
+| `iv` | noise in the motion | Janot, Vandanjon, Gautier 2014 |
 | `smooth` | noise in the motion: columns on positions without it | Gautier 1997 |
 """
 
@@ -15,8 +16,8 @@ from types import MappingProxyType
 import numpy as np
 import scipy
 
-from excitant.exceptions import Infeasible, RankDeficient
-from excitant.identify.attenuation import ATTENUATION, coarseness
+from excitant.exceptions import BadInput, Infeasible, RankDeficient
+from excitant.identify.attenuation import ATTENUATION, coarseness, half_segments
 from excitant.identify.least_squares import (
     SMALLEST,
     Factor,
@@ -31,9 +32,12 @@ from excitant.identify.preprocessing import (
     Segment,
     certain_rows,
 )
+from excitant.identify.recording import Recording
 from excitant.identify.regression import (
     Regression,
+    dense,
     regression_of,
+    triangle,
 )
 from excitant.identify.rows import FitRows
 from excitant.identify.signals import detrended, low_pass, power_density
@@ -43,6 +47,7 @@ ESTIMATORS: Mapping[str, str] = MappingProxyType(
     {
         "wls": "weighted least squares",
         "irls": "robust regression (iteratively reweighted, Student's t)",
+        "iv": "instrumental variables (even and odd samples)",
         "smooth": "weighted least squares on smoothed positions",
     }
 )
@@ -107,15 +112,17 @@ SMOOTHING = Smoothing()
 
 
 def estimated(
-    rows: FitRows, name: str | None
+    rows: FitRows, recordings: Sequence[Recording], name: str | None
 ) -> tuple[LeastSquares, str, tuple[str, ...]]:
     """Base parameters by the estimator of a name, which it was, and what the user should know.
 
     Without a name, weighted least squares, or what the fitted rows call for in its place: `irls`
     where gross errors of torque spoil it, else `smooth` where noise of the motion does.
+    `iv` looks again at the recordings behind these rows, in order.
 
     Raises:
         RankDeficient: Motion that leaves base parameters undetermined.
+        BadInput: Samples that show too little of the motion for the estimator.
         Infeasible: Robust regression that does not converge.
     """
     problem = rows.reduced
@@ -131,6 +138,12 @@ def estimated(
     note = f"base parameters by {ESTIMATORS[name]}"
     if name == "irls":
         return irls(problem), name, (note,)
+    if name == "iv":
+        try:
+            return iv(*half_regressions(rows, recordings)), name, (note,)
+        except np.linalg.LinAlgError as error:
+            few = "every second sample shows too little of the motion; take smooth"
+            raise BadInput(f"estimator iv: {few}") from error
     smoothed, cutoffs_hz = smoothed_regression(rows)
     up_to = f"positions count up to {_band(cutoffs_hz)}"
     said = f"{up_to}, above which noise drowns their acceleration"
@@ -319,6 +332,60 @@ def _orthonormal(factor: Factor) -> Array:
     inverse = factor.inverse / factor.norms[:, None]
     parts = zip(problem.index, problem.columns, factor.weight, strict=True)
     return np.stack([X @ inverse[index] / w for index, X, w in parts], axis=1)
+
+
+def iv(problem: Regression, instruments: Regression) -> LeastSquares:
+    """Two-stage least squares: W projected on the instruments Z, then fitted to the torque.
+
+    Least squares is biased where W has errors, because WᵀW contains their squares. Instruments
+    have errors independent of those of W and of the torque, so that Zᵀ(τ − W β) = 0 has no such
+    term. Janot, Vandanjon, Gautier (2014) simulate the closed loop for them; here they are
+    columns on other samples of the same motion (`half_regressions`), at least as many. Variance is
+    larger than that of least squares; weak instruments leave bias, and so do columns that are no
+    linear functions of the noise (signs of velocities).
+
+    Raises:
+        RankDeficient: Columns, or instruments, that the motion does not show.
+    """
+    sigma = weighted_least_squares(problem).sigma
+    for _ in range(3):  # noise of each joint with instruments
+        factor = factorised(_projected(problem, instruments, sigma), sigma)
+        beta = factor.solve()
+        residual = problem.residual(beta)
+        sigma = noise_of(problem.counted(residual), len(beta))
+    return with_covariance(factor, beta, residual, sigma)
+
+
+def _projected(
+    problem: Regression, instruments: Regression, sigma: Array
+) -> Regression:
+    """The problem with the part of its columns that instruments explain."""
+    k = instruments.p
+    r = problem.p
+    norms = factorised(instruments, sigma).norms
+    both = instruments.with_columns(problem.W, problem.names)
+    scale = np.append(norms, np.ones(r))
+    R = triangle(both.stacked(1 / sigma)[:, :-1] / scale)
+    C = scipy.linalg.solve_triangular(R[:k, :k], R[:k, k:]) / norms[:, None]
+    pairs = zip(instruments.index, instruments.columns, strict=True)
+    explained = np.stack([Z @ C[index] for index, Z in pairs], axis=1)
+    return dense(explained, problem.tau, problem.names, problem.used)
+
+
+def half_regressions(
+    rows: FitRows, recordings: Sequence[Recording]
+) -> tuple[Regression, Regression]:
+    """Base columns from even and from odd samples at the rows of a fit, of recordings in order.
+
+    Errors are those of `half_segments`.
+    """
+    even, odd = (
+        rows.fitting(regression_of(rows.robot, rows.effects, half)).select(
+            rows.base.columns, rows.base.expressions
+        )
+        for half in half_segments(recordings, rows.data)
+    )
+    return even, odd
 
 
 def smoothed_regression(rows: FitRows) -> tuple[Regression, Array]:

@@ -121,7 +121,7 @@ def test_every_verb_in_every_way(kind: str, here: Path, excitant: Any) -> None:
         f"analyze {arm} --trajectory motion/trajectory.json",
         f"analyze {arm} --recording run1.csv",
         f"identify {arm} {runs} -o model",
-        *(f"identify {arm} {runs} --estimator {name}" for name in ("irls", "smooth")),
+        *(f"identify {arm} {runs} --estimator {name}" for name in ("irls", "iv")),
         f"identify {arm} {runs} --effects auto",
         f"identify {arm} {runs} --online",
         f"identify {arm} {runs} --link-by-link",

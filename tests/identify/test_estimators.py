@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ from known_arms import HARMONICS, Z95, Call, recorded, rows_of, smooth_motion, w
 
 from excitant.exceptions import BadInput, RankDeficient
 from excitant.identify import Recording, Regression, identify_robot
-from excitant.identify.attenuation import every_second, half_segments, without_noise
-from excitant.identify.estimators import ESTIMATORS, Smoothing, irls, smoothed_regression
+from excitant.identify.attenuation import every_second, without_noise
+from excitant.identify.estimators import ESTIMATORS, Smoothing, irls, iv, smoothed_regression
 from excitant.identify.least_squares import (
     LeastSquares,
     autocorrelation_time,
@@ -37,6 +38,7 @@ Problem = tuple[Regression, Regression]
 BY_NAME: dict[str, Callable[[Problem], LeastSquares]] = {
     "wls": lambda both: weighted_least_squares(both[0]),
     "irls": lambda both: irls(both[0]),
+    "iv": lambda both: iv(*both),
     "halves": lambda both: by_halves(*both),
 }
 every = pytest.mark.parametrize("name", [name for name in ESTIMATORS if name in BY_NAME])
@@ -169,10 +171,11 @@ def wrong_columns(rng: np.random.Generator) -> Problem:
 
 
 @pytest.mark.slow
-def test_two_halves_of_the_samples_take_away_the_bias_that_wrong_columns_make() -> None:
-    (plain, _), (halved, _) = draws(("wls", "halves"), wrong_columns, 60)
-    assert (biased(plain)[1:3] > 10).all()
-    assert (biased(halved) < 4).all()
+def test_instruments_take_away_the_bias_that_wrong_columns_make() -> None:
+    found, plain, halved = draws(("iv", "wls", "halves"), wrong_columns, 60)
+    assert (biased(plain[0])[1:3] > 10).all()
+    assert (np.maximum(biased(found[0]), biased(halved[0])) < 4).all()
+    assert abs(covered(*found) - 0.95) <= 3 * np.sqrt(0.95 * 0.05 / 60)
 
 
 def test_even_and_odd_samples_see_one_motion_with_independent_noise() -> None:
@@ -269,9 +272,21 @@ def test_positions_without_noise_lose_no_motion_that_torque_shows(planar, exact:
     assert (fit.sigma <= 1.01 * known.sigma).all()
 
 
-def test_every_second_sample_needs_a_rate_that_shows_the_motion() -> None:
+def test_instruments_need_no_noise_but_a_rate_for_every_second_sample(
+    planar: Robot, exact: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At a rate at which interpolation between every second sample leaves no error."""
+    recording = exact(planar, np.arange(0, 10, 1 / 512))
+    fit = identify_robot(planar, [recording], estimator="iv").least_squares
+    known = identify_robot(planar, [recording], estimator="wls").least_squares
+    assert (np.abs(fit.beta - known.beta) <= 1e-2 * known.std).all()
+    np.testing.assert_allclose(fit.covariance, known.covariance, rtol=1e-2)
     with pytest.raises(BadInput, match=r"choose one up to 25 Hz"):
-        half_segments([NOISY], split([NOISY], cutoff_hz=40.0))
+        identify_robot(planar, [NOISY], cutoff_hz=40.0, estimator="iv")
+    singular = Mock(side_effect=np.linalg.LinAlgError("singular"))
+    monkeypatch.setattr("excitant.identify.estimators.iv", singular)
+    with pytest.raises(BadInput, match="every second sample shows too little"):
+        identify_robot(planar, [NOISY], estimator="iv")
 
 
 def test_the_command_says_which_estimator(tmp_path: Path, excitant: Call) -> None:
