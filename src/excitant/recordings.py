@@ -108,8 +108,8 @@ class Fit:
     estimator: str | None = None
     (
         "Of the base parameters: wls (weighted least squares), irls (robust against wrong "
-        "torques), iv or smooth (noisy positions). Default: wls; irls where bursts spoil the torque, "
-        "smooth where encoders are coarse beside the motion, as the recordings show."
+        "torques), iv or smooth (noisy positions). Default: wls; irls where bursts spoil the "
+        "torque, smooth where encoders are coarse beside the motion, as the recordings show."
     )
     trajectory: str | None = None
     "Commanded trajectory.json: without --cutoff the filter passes its highest harmonic."
