@@ -22,8 +22,7 @@ from excitant.identify.preprocessing import (
     position_cutoff,
     top_speed,
 )
-from excitant.identify.signals import power_density
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, power_density
 from excitant.robots.regressor import torque_derivatives
 from excitant.robots.robot import Robot
 

@@ -40,8 +40,8 @@ from excitant.identify.regression import (
     triangle,
 )
 from excitant.identify.rows import FitRows
-from excitant.identify.signals import detrended, low_pass, power_density
-from excitant.robots.motion import Array, Motion
+from excitant.identify.signals import detrended, low_pass
+from excitant.robots.motion import Array, Motion, power_density
 
 ESTIMATORS: Mapping[str, str] = MappingProxyType(
     {

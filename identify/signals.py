@@ -30,7 +30,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from excitant.robots.motion import Array, Motion, Noun
+from excitant.robots.motion import Array, Motion, Noun, power_density
 
 BUTTERWORTH_ORDER = 4  # of the filter, each way
 MEMORY_PERIODS = 6.0  # periods of its cut-off, after which the filter has forgotten
@@ -116,27 +116,6 @@ def detrended(values: Array) -> Array:
     centred = values - values.mean(axis=0)
     slope = np.tensordot(along, centred, 1) / (along @ along)
     return centred - np.multiply.outer(along, slope)
-
-
-def power_density(
-    values: Array, rate_hz: float, longest: int
-) -> tuple[Array, Array]:
-    """Frequencies (m,) [Hz] and one-sided power density (m, ...) of columns, shape (n, ...).
-
-    Mean over parts of at most ``longest`` samples that overlap by half, each less its own mean and
-    under a Hann window (Welch 1967).
-    """
-    size = min(longest, len(values))
-    windows = np.lib.stride_tricks.sliding_window_view(values, size, axis=0)
-    parts = windows[:: size - size // 2]
-    hann = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(size) / size)
-    windowed = hann * (parts - parts.mean(axis=-1, keepdims=True))
-    power = (np.abs(np.fft.rfft(windowed, axis=-1)) ** 2).mean(axis=0)
-    power /= rate_hz * (hann**2).sum()
-    # negative frequencies; neither 0 nor the Nyquist one
-    power[..., 1 : (size + 1) // 2] *= 2
-    f = np.asarray(np.fft.rfftfreq(size, 1 / rate_hz), float)
-    return f, np.moveaxis(power, -1, 0)
 
 
 def floor_density(x: Array, rate_hz: float) -> tuple[Array, Array, Array]:

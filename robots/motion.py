@@ -101,3 +101,24 @@ class Motion:
 def numbered(q: Array, dq: Array, ddq: Array) -> Motion:
     """States that follow no time, each of shape (n, nv)."""
     return Motion(np.arange(len(q), dtype=float), q, dq, ddq)
+
+
+def power_density(
+    values: Array, rate_hz: float, longest: int
+) -> tuple[Array, Array]:
+    """Frequencies (m,) [Hz] and one-sided power density (m, ...) of columns, shape (n, ...).
+
+    Mean over parts of at most ``longest`` samples that overlap by half, each less its own mean and
+    under a Hann window (Welch 1967).
+    """
+    size = min(longest, len(values))
+    windows = np.lib.stride_tricks.sliding_window_view(values, size, axis=0)
+    parts = windows[:: size - size // 2]
+    hann = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(size) / size)
+    windowed = hann * (parts - parts.mean(axis=-1, keepdims=True))
+    power = (np.abs(np.fft.rfft(windowed, axis=-1)) ** 2).mean(axis=0)
+    power /= rate_hz * (hann**2).sum()
+    # negative frequencies; neither 0 nor the Nyquist one
+    power[..., 1 : (size + 1) // 2] *= 2
+    f = np.asarray(np.fft.rfftfreq(size, 1 / rate_hz), float)
+    return f, np.moveaxis(power, -1, 0)

@@ -5,7 +5,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from excitant.identify.signals import power_density
 from excitant.reports import values as v
 from excitant.reports.figure import (
     CLOUD,
@@ -26,7 +25,7 @@ from excitant.reports.figure import (
 )
 from excitant.reports.values import Series
 from excitant.results import Finding, IdentifiedJoint, Identify
-from excitant.robots.motion import Array, Indices
+from excitant.robots.motion import Array, Indices, power_density
 
 _CLOUD = 1000  # points drawn of a cloud
 _MEDIANS = 24  # bins of a cloud, whose medians are drawn

@@ -29,12 +29,12 @@ from excitant.identify.signals import (
     differentiated,
     live,
     low_pass,
-    power_density,
     resolution,
     smoothed,
 )
 from excitant.robots import load_robot, rigid_body_torque
 from excitant.robots.effects import Backlash
+from excitant.robots.motion import power_density
 from excitant.robots.regressor import regressor, torque_derivatives
 
 RATE, CUTOFF = 256.0, 10.0  # a rate whose steps are exact in binary
