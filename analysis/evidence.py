@@ -19,7 +19,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy
@@ -36,6 +36,7 @@ Key = tuple[str, tuple[str, ...]]
 """Effect and joints."""
 
 _NOISE_ITERATIONS = 3
+KEPT_RESIDUALS = 2  # of sets of causes
 LEAST_LEVERAGE = (
     1e-3  # of a candidate's information that other blocks hold, at least
 )
@@ -112,6 +113,11 @@ class Evidence:
         """Xᵀ Λ r, shape (p,)."""
         return self.products[:-1, -1]
 
+    @cached_property
+    def powers(self) -> Array:
+        """rᵀ Λ r of each joint, shape (nv,)."""
+        return self.weight * np.array([gram[-1, -1] for gram in self.problem.grams])
+
     @property
     def power(self) -> float:
         """rᵀ Λ r."""
@@ -138,7 +144,24 @@ class Evidence:
 
     def residual(self, chosen: Sequence[Candidate]) -> Array:
         """Residual after a set of causes, shape (n, nv) [N·m]."""
-        return self.problem.residual(self.coordinates(chosen))
+        return _residual(self, tuple(chosen))
+
+    def beside(
+        self, chosen: Sequence[Candidate], candidate: Candidate
+    ) -> tuple[Array, Array]:
+        """Coordinates per unit of a candidate's own beside a set, (p, k), and information of these.
+
+        The latter, (k, k), is the inverse of the covariance of the candidate's own coordinates.
+        """
+        active = self.active(chosen)
+        at = np.arange(candidate.columns.start, candidate.columns.stop)
+        cross = self.information[np.ix_(active, at)]
+        per_unit = np.zeros((len(self.moment), len(at)))
+        per_unit[at] = np.eye(len(at))
+        per_unit[active] = -self._solved(active, cross)
+        own = self.information[np.ix_(at, at)] + cross.T @ per_unit[active]
+        own[np.diag_indices_from(own)] += _ROUNDING * self.information[at, at]
+        return per_unit, own
 
     def additions(self, chosen: Sequence[Candidate]) -> Array:
         """Fall of J by adding each of the candidates to a set, shape (candidates,)."""
@@ -206,14 +229,10 @@ class Evidence:
         Scores are scaled up by the block's share in the fit (Bell and McCaffrey 2002); few blocks
         estimate λ badly, so it is shrunk half-way to 1.
         """
-        active = self.active(chosen)
-        at = np.arange(candidate.columns.start, candidate.columns.stop)
-        B = self._solved(active, self.gram[np.ix_(active, at)])
-        coordinates = np.zeros((len(self.moment), len(at)))
-        coordinates[at] = np.eye(len(at))
-        coordinates[active] = -B
-        S = self.problem.torque(coordinates)
-        e = self.residual([*chosen, candidate])
+        per_unit, own = self.beside(chosen, candidate)
+        S = self.problem.torque(per_unit)
+        size = _solved(own, self.moment @ per_unit)
+        e = self.residual(chosen) - S @ size
         weighted = S * self.weight[:, None]
         scores = np.add.reduceat(np.einsum("njk,nj->nk", weighted, e), self.blocks)
         grams = np.add.reduceat(np.einsum("njk,njl->nkl", weighted, S), self.blocks)
@@ -292,6 +311,12 @@ class Evidence:
     def _solved(self, active: Index, right: Array) -> Array:
         """Solution of the normal equations of active columns for a right-hand side."""
         return _solved(self.information[np.ix_(active, active)], right)
+
+
+@lru_cache(maxsize=KEPT_RESIDUALS)
+def _residual(evidence: Evidence, chosen: tuple[Candidate, ...]) -> Array:
+    """The residual of `Evidence`, kept for all candidates that are tried beside a set."""
+    return frozen(evidence.problem.residual(evidence.coordinates(chosen)))
 
 
 def _root(A: Array) -> Array:

@@ -241,11 +241,12 @@ def _plausible(
     coordinates = evidence.coordinates(chosen)
     if any(_cancelled(evidence, cause, coordinates) for cause in chosen):
         return False
-    at = candidate.columns
+    rest = [c for c in chosen if c is not candidate]
+    _, information = evidence.beside(rest, candidate)
     scale = candidate.scale
-    block = evidence.covariance(chosen)[at, at]
-    std = np.sqrt(np.diag(scale @ block @ scale.T))
-    value = scale @ coordinates[at]
+    covariance = np.linalg.inv(information)
+    std = np.sqrt(np.diag(scale @ covariance @ scale.T))
+    value = scale @ coordinates[candidate.columns]
     return plausible(candidate.effect, robot, value, std)
 
 
@@ -268,10 +269,7 @@ def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool
     """Whether a cause makes far more torque than there is to explain, which others cancel."""
     at = cause.columns
     made = float(coordinates[at] @ evidence.gram[at, at] @ coordinates[at])
-    there = sum(
-        evidence.weight[j] * evidence.problem.grams[j][-1, -1]
-        for j, _ in evidence.acting(cause)
-    )
+    there = evidence.powers @ evidence.problem.acts[:, at].any(axis=1)
     return bool(made > SELECTION.cancelled * there)
 
 

@@ -112,6 +112,14 @@ class Regression:
             W[:, j, index] = self.columns[j]
         return W
 
+    @cached_property
+    def acts(self) -> Mask:
+        """Which columns act on which joint, shape (nv, p)."""
+        acts = np.zeros((self.nv, self.p), bool)
+        for j, index in enumerate(self.index):
+            acts[j, index] = True
+        return acts
+
     def rows(self, joint: int) -> Mask | slice:
         """Rows of a joint that count."""
         return slice(None) if self.used is None else self.used[:, joint]
@@ -125,9 +133,13 @@ class Regression:
         tau = []
         for index, columns in zip(self.index, self.columns, strict=True):
             own = x[index]
-            # few of all candidates
-            nonzero = own.any(axis=tuple(range(1, own.ndim)))
-            tau.append(columns[:, nonzero] @ own[nonzero])
+            nonzero = np.asarray(own.any(axis=tuple(range(1, own.ndim))), bool)
+            # those up to the first zero, of given values, are not copied
+            first = int(np.append(nonzero, False).argmin())
+            few = first + np.flatnonzero(nonzero[first:])
+            tau.append(
+                columns[:, :first] @ own[:first] + columns[:, few] @ own[few]
+            )
         return np.stack(tau, axis=1)
 
     def residual(self, x: Array) -> Array:

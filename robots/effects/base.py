@@ -54,7 +54,9 @@ class Acts(Enum):
     @property
     def count(self) -> int:
         """Number of joints; 0: as many as it is given."""
-        return {Acts.ONE: 1, Acts.PAIR: 2}.get(self, 0)
+        if self is Acts.ONE:
+            return 1
+        return 2 if self is Acts.PAIR else 0
 
 
 @dataclass(frozen=True)
