@@ -190,13 +190,16 @@ class Evidence:
 
         It is xᵀ C⁻¹ x of the candidate's coordinates x and their covariance C.
         """
-        coordinates = self.coordinates(chosen)
-        covariance = self.covariance(chosen)
+        active = self.active(chosen)
+        covariance = self._solved(active, np.eye(len(active)))
+        coordinates = covariance @ self.moment[active]
         rises = []
+        start = self.nuisance
         for candidate in chosen:
-            at = candidate.columns
+            at = slice(start, start + candidate.size)
             x = coordinates[at]
             rises.append(float(x @ np.linalg.solve(covariance[at, at], x)))
+            start = at.stop
         return np.array(rises)
 
     @cached_property
