@@ -36,7 +36,6 @@ Key = tuple[str, tuple[str, ...]]
 """Effect and joints."""
 
 _NOISE_ITERATIONS = 3
-KEPT_RESIDUALS = 2  # of sets of causes
 LEAST_LEVERAGE = (
     1e-3  # of a candidate's information that other blocks hold, at least
 )
@@ -127,16 +126,13 @@ class Evidence:
         """Coordinates of all columns with a set of causes, zero where inactive, shape (p,)."""
         active = self.active(chosen)
         coordinates = np.zeros(len(self.moment))
-        coordinates[active] = self._solved(active, self.moment[active])
+        coordinates[active] = self.solved(active, self.moment[active])
         return coordinates
 
     def covariance(self, chosen: Sequence[Candidate]) -> Array:
-        """Covariance of these coordinates, shape (p, p)."""
+        """Covariance of the active coordinates, shape (active, active)."""
         active = self.active(chosen)
-        covariance = np.zeros_like(self.gram)
-        inverse = self._solved(active, np.eye(len(active)))
-        covariance[np.ix_(active, active)] = inverse
-        return covariance
+        return self.solved(active, np.eye(len(active)))
 
     def cost(self, chosen: Sequence[Candidate]) -> float:
         """J of a set of candidates."""
@@ -158,7 +154,7 @@ class Evidence:
         cross = self.information[np.ix_(active, at)]
         per_unit = np.zeros((len(self.moment), len(at)))
         per_unit[at] = np.eye(len(at))
-        per_unit[active] = -self._solved(active, cross)
+        per_unit[active] = -self.solved(active, cross)
         own = self.information[np.ix_(at, at)] + cross.T @ per_unit[active]
         own[np.diag_indices_from(own)] += _ROUNDING * self.information[at, at]
         return per_unit, own
@@ -190,9 +186,8 @@ class Evidence:
 
         It is xᵀ C⁻¹ x of the candidate's coordinates x and their covariance C.
         """
-        active = self.active(chosen)
-        covariance = self._solved(active, np.eye(len(active)))
-        coordinates = covariance @ self.moment[active]
+        covariance = self.covariance(chosen)
+        coordinates = covariance @ self.moment[self.active(chosen)]
         rises = []
         start = self.nuisance
         for candidate in chosen:
@@ -252,7 +247,7 @@ class Evidence:
         """Largest |cos| between two candidates' columns, the nuisance projected out."""
         columns = np.r_[one.columns, other.columns]
         cross = self.gram[: self.nuisance, columns]
-        solved = self._solved(self.active(()), cross)
+        solved = self.solved(self.active(()), cross)
         G = self.gram[np.ix_(columns, columns)] - cross.T @ solved
         k = one.size
         whiten = [_inverse_root(block) for block in (G[:k, :k], G[k:, k:])]
@@ -289,7 +284,7 @@ class Evidence:
             return 0.0, 0
         cross = np.concatenate(crosses, axis=1)
         right = np.column_stack([cross, self.moment[active]])
-        solved = self._solved(active, right)
+        solved = self.solved(active, right)
         remaining = np.concatenate(moments) - cross.T @ solved[:, -1]
         G = scipy.linalg.block_diag(*grams) - cross.T @ solved[:, :-1]
         fall = float(remaining @ np.linalg.lstsq(G, remaining, rcond=1e-9)[0])
@@ -311,12 +306,12 @@ class Evidence:
             [np.arange(s.start, s.stop, dtype=np.intp) for s in columns]
         )
 
-    def _solved(self, active: Index, right: Array) -> Array:
+    def solved(self, active: Index, right: Array) -> Array:
         """Solution of the normal equations of active columns for a right-hand side."""
         return _solved(self.information[np.ix_(active, active)], right)
 
 
-@lru_cache(maxsize=KEPT_RESIDUALS)
+@lru_cache(maxsize=2)
 def _residual(evidence: Evidence, chosen: tuple[Candidate, ...]) -> Array:
     """The residual of `Evidence`, kept for all candidates that are tried beside a set."""
     return frozen(evidence.problem.residual(evidence.coordinates(chosen)))
@@ -498,14 +493,12 @@ def _typical_deviation(evidence: Evidence, part: Index, robot: Robot) -> float:
         and not {(c.effect.name, joint) for joint in c.effect.joints} <= nominal
     ]
     others = np.setdiff1d(evidence.active(usual), part)
-    A = evidence.gram + np.diag(evidence.precision)
     H = evidence.gram[np.ix_(part, part)]
     m = evidence.moment[part]
     if len(others):
-        cross = _solved(
-            A[np.ix_(others, others)], evidence.gram[np.ix_(others, part)]
-        )
-        H = H - evidence.gram[np.ix_(part, others)] @ cross
+        beside = evidence.gram[np.ix_(others, part)]
+        cross = evidence.solved(others, beside)
+        H = H - beside.T @ cross
         m = m - cross.T @ evidence.moment[others]
     unit = 1 / np.sqrt(evidence.precision[part])
     values, vectors = np.linalg.eigh(unit[:, None] * H * unit)

@@ -153,11 +153,9 @@ def _lowest_frequency(segments: Sequence[Segment]) -> Array:
     # all but a fiftieth of the power of its positions lies above
     longest = max(segments, key=lambda s: len(s.motion))
     q = longest.motion.q
-    window = np.hanning(len(q))[:, None]
-    power = np.abs(np.fft.rfft((q - q.mean(axis=0)) * window, axis=0)) ** 2
+    f, power = power_density(q, longest.rate_hz, len(q))
     power[0] = 0.0
     reached = np.cumsum(power, axis=0) >= OUTSIDE_BAND * power.sum(axis=0)
-    f = np.fft.rfftfreq(len(q), 1 / longest.rate_hz)
     return np.asarray(f[np.argmax(reached, axis=0)], float)
 
 

@@ -37,7 +37,6 @@ RIPPLE_CANDIDATES = 3  # orders at each joint, the best of all
 MOST_ORDERS = 600
 ORDERS_AT_ONCE = 30  # which fit into the processor's cache
 SPECTRUM = 256  # samples of each stretch of which power is averaged
-MIRRORED = 15  # samples beyond each end of a torque that is filtered
 NOISE_BAND, NOISE_RISE = (
     4.0,
     3.0,
@@ -326,10 +325,11 @@ def _low_passed(x: Array, edge: float) -> Array:
     """A signal, (n,), through a Butterworth filter of order 4 forward and backward.
 
     Two sections of order 2 by the bilinear transform, K = tan(π edge), the edge in cycles a sample.
-    ``scipy.signal.sosfiltfilt`` does the same, but loading it takes longer than an identification.
+    ``scipy.signal.sosfiltfilt`` does the same, but loading that takes half a second.
     """
     K = np.tan(np.pi * edge)
-    passed = np.pad(x, MIRRORED, mode="reflect", reflect_type="odd")
+    ends = 15  # samples that are mirrored beyond each
+    passed = np.pad(x, ends, mode="reflect", reflect_type="odd")
     for _ in range(2):
         start = passed[0]
         passed = passed - start
@@ -343,7 +343,7 @@ def _low_passed(x: Array, edge: float) -> Array:
             driven = K**2 * np.convolve(passed, [1, 2, 1])[: len(passed)]
             passed = scipy.linalg.solve_banded((2, 0), bands, driven)
         passed = (passed + start)[::-1]
-    return passed[MIRRORED:-MIRRORED]
+    return passed[ends:-ends]
 
 
 @registered
