@@ -35,7 +35,7 @@ from excitant.robots.motion import Array, Motion, Noun, power_density
 BUTTERWORTH_ORDER = 4  # of the filter, each way
 MEMORY_PERIODS = 6.0  # periods of its cut-off, after which the filter has forgotten
 FLOOR_SHARE = 1 / 3  # upper end of the frequency axis, where arms do not move
-_CHUNK_VALUES = 60000  # filtered together: they fit into the processor's cache
+_CHUNK_VALUES = 60_000  # filtered together: they fit into the processor's cache
 _ROUNDING = 1e-9  # of the range of a channel
 # white noise over random walk
 _VARIANCE_RATIOS = np.log(np.geomspace(1e-12, 1e12, 97))
@@ -75,13 +75,12 @@ def _low_passed(
     x[:, end + 1 :] = 2 * x[:, end, None] - x[:, end - 1 : end - 1 - after : -1]
     first = x[:, :1].copy()
     slope = (x[:, -1:] - first) / max(size - 1, 1)
-    line = slope * np.arange(size)
-    line += first
-    x -= line  # a constant passes without rounding
+    along = np.arange(size)
+    x -= first + slope * along  # a constant passes without rounding
     spectrum = scipy.fft.rfft(x, overwrite_x=True)
     spectrum *= _gain(size, cutoff_hz / rate_hz)
     passed = scipy.fft.irfft(spectrum, size, overwrite_x=True)[:, inner][:, rows]
-    return passed + line[:, inner][:, rows]
+    return passed + first + slope * along[inner][rows]
 
 
 @lru_cache(maxsize=64)
