@@ -27,8 +27,8 @@ def period(robot: Robot, rng: np.random.Generator) -> Motion:
     return random_trajectory(robot, rng, _PERIOD, 5).at(np.arange(_PERIOD * _RATE) / _RATE)
 
 
-def write(path: Path, name: str, samples: int, first: int = 0) -> None:
-    """Write a log of a robot from a sample of its motion on, never whole in memory."""
+def write(path: Path, name: str, samples: int) -> None:
+    """Write a log of a robot, never whole in memory."""
     robot = load_robot(name)
     rng = np.random.default_rng(0)
     motion = period(robot, rng)
@@ -43,7 +43,7 @@ def write(path: Path, name: str, samples: int, first: int = 0) -> None:
         for start in range(0, samples, _PIECE):
             k = np.arange(start, min(start + _PIECE, samples))
             q, measured = (
-                x[(first + k) % len(motion)] + rng.normal(0, noise, (len(k), robot.nv))
+                x[k % len(motion)] + rng.normal(0, noise, (len(k), robot.nv))
                 for x, noise in zip((motion.q, tau), _NOISE, strict=True)
             )
             writer.write_table(pa.table([k / _RATE, *q.T, *measured.T], schema))
