@@ -250,7 +250,7 @@ def analyze(
     for why, wrong in refused.items():
         if wrong:
             raise BadInput(why)
-    effects = tuple(effects) if estimate is None else estimate.model.effects
+    effects = tuple(effects) if estimate is None else estimate.effects
     poses = distal_frames(robot) if frames == "dh" else None
     structural = structure(
         robot, effects, moving=moving, measured=measured, frames=poses

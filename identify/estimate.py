@@ -141,6 +141,12 @@ class Estimate(Shown):
         return read_only(gains_of(self.given, self.data, self.drive))
 
     @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects that were estimated, as the model has them."""
+        effects = self.model.effects
+        return effects[: len(effects) - len(self.physical.springs)]
+
+    @property
     def undetermined(self) -> str:
         """Which drive gains are not known, and why, as a sentence; empty where there are none."""
         return self.drive.undetermined(self.given.joints) if self.drive else ""
@@ -386,14 +392,16 @@ def identify_robot(
     physical = fit_physical(
         R, z, prior, rows.open_prior, knowledge=known, links=robot.links
     )
+    if name != "irls":  # gross errors hide what else is in them
+        fit, physical, told = allowing_for_springs(
+            rows, fit, physical, noise, known
+        )
+        remarks += told
     if shapes is not None and shapes.better:
         fit, physical = widened(fit, physical, rows.base, shapes.spread)
     if turns:
         spread = turning_spread(rows, fit, physical.covariance)
         fit, physical = widened(fit, physical, rows.base, spread)
-    if name != "irls":  # gross errors hide what else is in them
-        fit, physical, told = allowing_for_springs(rows, fit, physical, noise)
-        remarks += told
     estimate = judged(robot, rows, fit, physical, (*notes, *remarks))
     return replace(
         estimate,
@@ -479,9 +487,11 @@ def judged(
         physical = replace(physical, covariance=wider)
     base_std = np.where(unknown, np.nan, np.sqrt(np.diag(widened)))
     model = identified_robot(robot, rows.effects, physical.x)
+    model = model.with_effects([*model.effects, *physical.springs])
     if is_covariance(widened):
+        beta = rows.base.regrouping @ physical.x if physical.springs else fit.beta
         model = replace(
-            model, estimate=BaseEstimate(rows.base.leading, fit.beta, widened)
+            model, estimate=BaseEstimate(rows.base.leading, beta, widened)
         )
     notes += () if drive is None else (drive.sentence(robot.joints),)
     notes += (physical.note,) if physical.note else ()

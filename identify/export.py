@@ -208,6 +208,7 @@ def lacking(arm: Robot, file_format: str) -> list[str]:
             )
     found = []
     for what, joints in missing.items():
+        joints = [*dict.fromkeys(joints)]
         listed = "all joints" if len(joints) == arm.nv else ", ".join(joints)
         if joints:
             found.append(f"{what} of {listed}")

@@ -41,6 +41,7 @@ from excitant.identify.semidefinite import (
     solve,
 )
 from excitant.identify.signals import grid_minimum
+from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Noun, read_only
 
 _UNSETTLED = (
@@ -82,7 +83,8 @@ class PhysicalFit(Noun):
         R: Factor of the whitened columns, shape (rows, p).
         root: L of the prior covariance L Lᵀ at the solution, shape (p, k); k < p with equalities.
         prior: Prior of the bodies.
-        undecided: Links that are far from nominal where a spring would explain the data as well.
+        undecided: Links that would be far from nominal without `springs`.
+        springs: Springs that the data show beside the estimated effects, with values.
     """
 
     x: Array
@@ -92,6 +94,7 @@ class PhysicalFit(Noun):
     prior: BodyPrior
     note: str = ""
     undecided: tuple[str, ...] = ()
+    springs: tuple[Effect, ...] = ()
 
     @property
     def prior_share(self) -> Array:

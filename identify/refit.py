@@ -45,6 +45,8 @@ REFIT_GAIN = 0.95
 and in the mirror. It counts the model's own error, too: a reader of the file sees both. Less would
 move bodies for what no reader notices (benchmarks/recordings.py).
 """
+LARGEST_CHANGE = 0.5
+"""Of a link's mass in a refit, as of one that is said to have moved: more is no body of the arm."""
 REFIT_ROUNDS = 2
 """Fits with the errors e_j of the one before: a joint that friction was lacking counts again."""
 
@@ -201,12 +203,18 @@ class _Heir:
         return x
 
     def everything(self, R: Array, z: Array) -> Array:
-        """Bodies fitted, too; the start where floating point ends before the optimum."""
+        """Bodies fitted, too, as far towards the optimum as no mass changes by too much.
+
+        The start where floating point ends before the optimum.
+        """
         columns = np.append(np.arange(self.bodies.size), self.kept)
         fit = fit_physical(R[:, columns], z, BodyPrior(self.bodies), self.effects)
         x = self.start.copy()
         if not fit.note:
-            x[columns] = fit.x
+            change = fit.x - x[columns]
+            mass = self.bodies[:, 0]
+            share = np.abs(change[: self.bodies.size : 10] / mass).max()
+            x[columns] += change * min(1.0, LARGEST_CHANGE / share)
         return x
 
 

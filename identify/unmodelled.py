@@ -9,8 +9,9 @@ with the column C of a linear spring and the errors e of the fit. Gravity takes 
 b sin q_j wholly: of bodies that are far off and a spring, the fit can choose neither. Nominal
 bodies can, where few directions are off, not a whole body (`physical.agreement`).
 
-Base parameters are then off by B θ. The coefficients θ of q_j, cos q_j, sin q_j and 1, given data
-and nominal bodies, have the second moment M = θ̂ θ̂ᵀ + V, which covariances get as B M Bᵀ.
+Bodies are then fitted beside such torque, of which a normal prior of its coefficients θ, those of
+q_j, cos q_j, sin q_j and 1, keeps what gravity's may be as well; the model has both. Base parameters
+without it are off by B θ: their covariance gets B M Bᵀ, M = θ̂ θ̂ᵀ + V the second moment of θ.
 """
 
 from __future__ import annotations
@@ -23,25 +24,36 @@ import scipy
 
 from excitant.exceptions import RankDeficient
 from excitant.identify.estimators import FALSE_ALARM
+from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import (
     LeastSquares,
     autocorrelation_time,
     weighted_least_squares,
 )
-from excitant.identify.physical import AGREEMENT, PhysicalFit, agreement
-from excitant.identify.prior import link_coordinates, link_weights
-from excitant.identify.regression import DEPENDENT, Regression
+from excitant.identify.physical import (
+    AGREEMENT,
+    PhysicalFit,
+    agreement,
+    fit_physical,
+)
+from excitant.identify.prior import BodyPrior
+from excitant.identify.regression import (
+    DEPENDENT,
+    Regression,
+    effect_columns,
+    triangle,
+)
 from excitant.identify.rows import FitRows, states
 from excitant.identify.shapes import REFINEMENT
 from excitant.robots.base_parameters import BaseParameters, categories
-from excitant.robots.effects import EFFECTS, Effect
+from excitant.robots.effects import EFFECTS, Effect, Spring
 from excitant.robots.motion import Array, read_only
 from excitant.robots.robot import Robot
 
 IMPOSSIBLE_BY_CHANCE = 0.05
 """Probability that any possible coefficient is said to be none, of all of them; convention."""
-TERMS = ("q", "cos q", "sin q", "1")
-"""Columns of the torque by the position of a joint; that of 1 stands for where it is at rest."""
+RESTS = 1
+"""Place of the constant among the coefficients of springs at a joint, q, 1, cos q and sin q."""
 
 
 def impossible_values(
@@ -63,12 +75,17 @@ def impossible_values(
 
 
 def allowing_for_springs(
-    rows: FitRows, fit: LeastSquares, physical: PhysicalFit, noise: Array
+    rows: FitRows,
+    fit: LeastSquares,
+    physical: PhysicalFit,
+    noise: Array,
+    knowledge: Knowledge,
 ) -> tuple[LeastSquares, PhysicalFit, tuple[str, ...]]:
-    """Both fits with what springs that the model lacks leave open, and what is told of these.
+    """Both fits with springs that the model lacks, and what is told of these.
 
-    The fits are as they were where neither errors nor nominal bodies show any. E[EᵀE] β of errors
-    E of the columns is noise, shape (r,); see `attenuation`.
+    The fits are as they were where neither errors nor nominal bodies show any. Else base parameters
+    get the bias, and bodies are fitted beside springs. E[EᵀE] β of errors E of the columns is
+    noise, shape (r,); see `attenuation`.
     """
     robot = rows.robot
     seen, noisy = _seen(rows, fit, noise)
@@ -78,53 +95,98 @@ def allowing_for_springs(
     if not seen and not moved[:-1].any():
         return fit, physical, ()
     end = rows.regression.p
-    wide = _with_all_terms(rows)
+    springs = _springs(robot)
+    names = [p.name for spring in springs for p in spring.parameters(robot)]
+    columns = effect_columns(robot, springs, rows.data.train)
+    wide = rows.regression.with_parts(columns, names)
+    size = _sizes(rows)
     R, z = wide.factor(noisy.weight)
+    z = z + R[:, rows.base.columns] @ _beyond_least_squares(rows, fit)
+    scaled = np.hstack([R[:, :end], R[:, end:] * size.ravel()])
     bodies = physical.prior.bodies
     own = [robot.nv + j for j in seen]
-    of_links, of_joints = np.split(agreement(R, z, bodies, len(TERMS), own), 2)
+    of_links, of_joints = np.split(
+        agreement(scaled, z, bodies, size.shape[1], own), 2
+    )
     instead = moved & (of_links == of_links.min())
     joints = np.flatnonzero(of_joints) if instead.any() else np.array([*seen], int)
     if not len(joints):
         return fit, physical, ()
-    terms = end + np.arange(robot.nv * len(TERMS)).reshape(robot.nv, -1)
-    at = terms[joints].ravel()
-    at = at[R[:, at].any(axis=0)]
-    own_std = np.repeat(of_joints, len(TERMS)).reshape(terms.shape)
+    std = np.zeros_like(size)
+    std[joints] = size[joints] * of_joints[joints, None]
     # where it is at rest no motion shows: it may hold all of the joint's torque
-    own_std[:, -1] = 1 / AGREEMENT.least
-    distance = link_weights(robot.nv, of_links)[:, None]
-    prior = scipy.linalg.block_diag(
-        distance * np.linalg.inv(link_coordinates(bodies)),
-        np.zeros((0, end - bodies.size)),
-        np.diag(1 / own_std.ravel()[at - end]),
-    )
-    off = z - R[:, : bodies.size] @ bodies.ravel()
-    root = _second_moment(
-        np.vstack([R[:, [*range(end), *at]], prior]),
-        np.append(off, np.zeros(len(prior))),
-        len(at),
-    )
-    torque = wide.select(at.tolist()).torque(root[:, 0]).std(axis=0)
+    std[joints, RESTS] = size[joints, RESTS] / AGREEMENT.least
+    acting = std.ravel() > 0
+    at = [*range(end), *(end + np.flatnonzero(acting)).tolist()]
+    prior = BodyPrior(bodies, of_links)
+    found, root = _beside(R[:, at], z, std.ravel()[acting], prior, rows, knowledge)
+    values = np.zeros(std.size)
+    values[acting] = root[:, 0]
+    torque = wide.torque(np.append(np.zeros(end), values)).std(axis=0)
     links = tuple(np.array(robot.links)[instead].tolist())
     r = len(fit.beta)
-    gram = wide.select([*rows.base.columns, *at]).gram(fit.sigma**-2.0)
+    gram = wide.select([*rows.base.columns, *at[end:]]).gram(fit.sigma**-2.0)
     of_base = np.linalg.solve(gram[:r, :r], gram[:r, r:-1]) @ root
-    gram = wide.gram(fit.weight**2)
-    of_all = physical.covariance @ gram[:end, at] @ root
-    covariance = physical.covariance + of_all @ of_all.T
     stiffness = dict.fromkeys(joints.tolist(), "") | seen
+    pairs = zip(springs, np.split(values, len(springs)), strict=True)
+    valued = tuple(spring.with_values(own) for spring, own in pairs if own.any())
     return (
         replace(fit, bias=read_only(of_base)),
-        replace(physical, covariance=covariance, undecided=links),
+        replace(found, undecided=links, springs=valued),
         (_sentence(robot, stiffness, torque, links),),
     )
+
+
+def _springs(robot: Robot) -> list[Spring]:
+    """Springs of each joint, torque by q and 1, then by cos q and sin q."""
+    levers = (False, True)
+    return [Spring((j,), lever=lever) for j in robot.joints for lever in levers]
+
+
+def _beyond_least_squares(rows: FitRows, fit: LeastSquares) -> Array:
+    """What another estimator adds to least squares of the base parameters, shape (r,)."""
+    R, z = rows.reduced.factor(1 / fit.sigma)
+    return np.asarray(fit.beta - np.linalg.lstsq(R, z)[0], float)
+
+
+def _beside(
+    R: Array,
+    z: Array,
+    std: Array,
+    prior: BodyPrior,
+    rows: FitRows,
+    knowledge: Knowledge,
+) -> tuple[PhysicalFit, Array]:
+    """The fit of all parameters beside coefficients θ, normal around zero, (s,), the last columns.
+
+    Second, the root of their second moment, their mean first, shape (s, s + 1).
+    """
+    s = len(std)
+    data = np.column_stack([R[:, -s:], R[:, :-s], z])
+    known = np.eye(s, data.shape[1]) / std[:, None]
+    rows_of_all = triangle(np.vstack([data, known]))
+    own = rows_of_all[:s, :s]
+    across = rows_of_all[:s, s:-1]
+    links = rows.robot.links
+    fit = fit_physical(
+        rows_of_all[s:, s:-1],
+        rows_of_all[s:, -1],
+        prior,
+        rows.open_prior,
+        knowledge,
+        links,
+    )
+    inverse = np.linalg.inv(own)
+    mean = inverse @ (rows_of_all[:s, -1] - across @ fit.x)
+    by_others = inverse @ across
+    covariance = inverse @ inverse.T + by_others @ fit.covariance @ by_others.T
+    return fit, np.column_stack([mean, np.linalg.cholesky(covariance)])
 
 
 def _sentence(
     robot: Robot, stiffness: dict[int, str], torque: Array, instead: Sequence[str]
 ) -> str:
-    """What is told of springs at joints that hold a torque, (nv,), with stiffness where seen."""
+    """Springs at joints, with the torque that they hold, (nv,), and stiffness where seen."""
     listed = ", ".join(
         f"{robot.joints[j]} ({torque[j]:.3g} {robot.torque_unit(joint=j)} rms{linear})"
         for j, linear in stiffness.items()
@@ -132,32 +194,19 @@ def _sentence(
     depends = "depends" if any(stiffness.values()) else "may depend"
     parts = [
         f"torque of {listed} {depends} on position as of a spring, counterbalance or cable, which "
-        "the model lacks"
+        "the effects lack and the model has beside its bodies"
     ]
     if instead:
         test = EFFECTS["spring"].words.separated_by["inertial_parameters"]
         parts.append(
-            f"with it the data agree with the given values of {', '.join(instead)}, which the fit "
-            f"moved in its place; to decide between both, {test}"
+            f"with it the data agree with the given values of {', '.join(instead)}, without it not "
+            f"at all; to decide between both, {test}"
         )
     parts.append(
         "the ± of all that could take its place are as much wider; `--effects auto` or `excitant "
         "diagnose` looks for it"
     )
     return "; ".join(parts)
-
-
-def _second_moment(A: Array, b: Array, last: int) -> Array:
-    """Root of the second moment of the last parameters by rows A x ≈ b, their mean first.
-
-    Shape (last, p + 1), the other columns being a root of the covariance.
-    """
-    norms = np.linalg.norm(A, axis=0)
-    norms = np.where(norms > 0, norms, 1.0)
-    U, s, Vt = np.linalg.svd(A / norms, full_matrices=False)
-    inverse = np.divide(1.0, s, out=np.zeros_like(s), where=s > DEPENDENT * s[0])
-    root = Vt.T * inverse / norms[:, None]
-    return np.column_stack([root @ (U.T @ b), root])[-last:]
 
 
 def _linear(rows: FitRows) -> Array:
@@ -168,20 +217,18 @@ def _linear(rows: FitRows) -> Array:
     return ((q - centre) * used)[:, :, None] * np.eye(rows.robot.nv)
 
 
-def _with_all_terms(rows: FitRows) -> Regression:
-    """The regression with `TERMS` of each joint, a share `Agreement.least` of its torque."""
-    q = states(rows.data.train)[0]
-    joints = range(rows.robot.nv)
-    linear = _linear(rows)[:, joints, joints]
+def _sizes(rows: FitRows) -> Array:
+    """Coefficients of springs at each joint that make a share of its torque, (nv, terms).
+
+    `Agreement.least` is the share; 0 where a joint rests, and of levers at a sliding joint.
+    """
+    linear = _linear(rows).sum(axis=2)
     rms = np.sqrt((linear**2).mean(axis=0))
-    linear = np.divide(linear, rms, out=np.zeros_like(linear), where=rms > 0)
-    lever = rows.used * rows.robot.revolute
-    terms = [linear, lever * np.cos(q), lever * np.sin(q), rows.used]
-    size = AGREEMENT.least * np.sqrt((rows.tau**2).mean(axis=0))
-    columns = np.zeros((*q.shape, len(joints), len(TERMS)))
-    columns[:, joints, joints] = np.stack(terms, axis=2) * size[:, None]
-    names = [f"{joint} {term}" for joint in rows.robot.joints for term in TERMS]
-    return rows.regression.with_columns(columns.reshape(*q.shape, -1), names)
+    stiffness = np.divide(1.0, rms, out=np.zeros_like(rms), where=rms > 0)
+    revolute = rows.robot.revolute.astype(float)
+    terms = [stiffness, np.ones_like(rms), revolute, revolute]
+    torque = AGREEMENT.least * np.sqrt((rows.tau**2).mean(axis=0))
+    return np.column_stack(terms) * torque[:, None]
 
 
 def _seen(
