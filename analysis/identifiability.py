@@ -250,7 +250,11 @@ def analyze(
     for why, wrong in refused.items():
         if wrong:
             raise BadInput(why)
-    effects = tuple(effects) if estimate is None else estimate.effects
+    effects = (
+        tuple(effects)
+        if estimate is None
+        else estimate.physical.estimated(estimate.model.effects)
+    )
     poses = distal_frames(robot) if frames == "dh" else None
     structural = structure(
         robot, effects, moving=moving, measured=measured, frames=poses

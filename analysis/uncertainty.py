@@ -468,7 +468,7 @@ def recorded_experiment(
 ) -> Experiment:
     """Experiment of an estimate."""
     fit = estimate.least_squares
-    effects = estimate.effects
+    effects = estimate.physical.estimated(estimate.model.effects)
     rows = cleaned(fit_rows(robot, effects, estimate.base, estimate.data))
     sigma = fit.sigma * np.sqrt(fit.inflation)
     complete = estimate.base.columns == base.columns

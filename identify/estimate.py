@@ -67,7 +67,13 @@ from excitant.identify.rows import (
     units_of,
 )
 from excitant.identify.shapes import Shapes, refined_shapes, widened
-from excitant.identify.unmodelled import allowing_for_springs, impossible_values
+from excitant.identify.unmodelled import (
+    Delay,
+    allowing_for_springs,
+    delay_of,
+    impossible_values,
+    spread_of,
+)
 from excitant.robots.base_parameters import (
     BaseParameters,
     base_parameters,
@@ -139,12 +145,6 @@ class Estimate(Shown):
     def gains(self) -> Array:
         """Torque per reading, shape (nv,): drive gains of currents [N·m/A], ones otherwise."""
         return read_only(gains_of(self.given, self.data, self.drive))
-
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """Effects that were estimated, as the model has them."""
-        effects = self.model.effects
-        return effects[: len(effects) - len(self.physical.springs)]
 
     @property
     def undetermined(self) -> str:
@@ -308,6 +308,8 @@ def _segments(recording: Recording, data: Data, robot: Robot) -> Sequence[Segmen
     if shows_poses(recording):
         return [pose_segment(recording, robot)]
     cutoff_hz = data.cutoff_hz
+    if data.delay:
+        recording = Delay(data.delay).on_time(recording)
     return prepare(recording, cutoff_hz if cutoff_hz < np.inf else None)
 
 
@@ -371,11 +373,15 @@ def identify_robot(
     if default and recordings and all(map(shows_poses, (*recordings, *validate))):
         return _of_poses(robot, recordings, validate, prior, known)
     data = split(recordings, validate, cutoff_hz, harmonics_hz)
-
-    problem = robot, effects, base_parameters(robot, effects), data
-    rows, turns = (
-        turned_rows(*problem, spoiled) if gradual else (fit_rows(*problem), ())
-    )
+    rows, turns = _motion_rows(robot, effects, data, gradual)
+    delay = delay_of(rows)
+    if delay is not None:
+        on_time = {each: delay.on_time(each) for each in (*recordings, *validate)}
+        recordings = [on_time[each] for each in recordings]
+        validate = [on_time[each] for each in validate]
+        data = split(recordings, validate, cutoff_hz, harmonics_hz)
+        data = replace(data, delay=delay.value)
+        rows, turns = _motion_rows(robot, effects, data, gradual)
     rows = with_own_torque(rows, prior, known)
     notes = (*notes_on(rows, prior), *turning_notes(turns, robot))
     shapes = refined_shapes(rows, prior, known)
@@ -402,6 +408,10 @@ def identify_robot(
     if turns:
         spread = turning_spread(rows, fit, physical.covariance)
         fit, physical = widened(fit, physical, rows.base, spread)
+    if delay is not None:
+        spread = spread_of(delay, rows, fit, physical.covariance)
+        fit, physical = widened(fit, physical, rows.base, spread)
+        remarks += (delay.sentence,)
     estimate = judged(robot, rows, fit, physical, (*notes, *remarks))
     return replace(
         estimate,
@@ -412,6 +422,14 @@ def identify_robot(
         reversals=turns,
         differences=tuple(differences(estimate.model, rows, fit)),
     )
+
+
+def _motion_rows(
+    robot: Robot, effects: Sequence[Effect], data: Data, gradual: bool
+) -> tuple[FitRows, tuple[Turning, ...]]:
+    """Rows of a fit, and where dry friction turns over a range of speeds, if it may."""
+    problem = robot, effects, base_parameters(robot, effects), data
+    return turned_rows(*problem, spoiled) if gradual else (fit_rows(*problem), ())
 
 
 def _of_poses(

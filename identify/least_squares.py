@@ -146,15 +146,25 @@ def weighted_least_squares(problem: Regression) -> LeastSquares:
     Raises:
         RankDeficient: The motion does not show some columns.
     """
+    factor, beta, residual, sigma = settled(problem)
+    return replace(
+        with_covariance(factor, beta, residual, factor.weight), sigma=sigma
+    )
+
+
+def settled(problem: Regression) -> tuple[Factor, Array, Array, Array]:
+    """Factorisation, β, residual and noise level of each joint, once the weights have settled.
+
+    Raises:
+        RankDeficient: As `weighted_least_squares`.
+    """
     sigma = believed(problem.tau.std(axis=0))
     for _ in range(NOISE.rounds):
         factor = factorised(problem, sigma)
         beta = factor.solve()
         residual = problem.residual(beta)
         sigma = noise_of(problem.counted(residual), len(beta))
-    return replace(
-        with_covariance(factor, beta, residual, factor.weight), sigma=sigma
-    )
+    return factor, beta, residual, sigma
 
 
 def noise_of(residuals: Sequence[Array], r: int) -> Array:

@@ -96,6 +96,10 @@ class PhysicalFit(Noun):
     undecided: tuple[str, ...] = ()
     springs: tuple[Effect, ...] = ()
 
+    def estimated(self, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+        """Those effects of the model that were estimated; springs come after them."""
+        return tuple(effects[: len(effects) - len(self.springs)])
+
     @property
     def prior_share(self) -> Array:
         """Part of each parameter's uncertainty that no data reduced, shape (p,)."""

@@ -36,6 +36,7 @@ from excitant.identify.rows import (
     implausible_size,
     predicted_torque,
 )
+from excitant.identify.tables import LARGE_CHANGE
 from excitant.robots.effects import EFFECTS, Effect, effect_values
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
@@ -45,8 +46,6 @@ REFIT_GAIN = 0.95
 and in the mirror. It counts the model's own error, too: a reader of the file sees both. Less would
 move bodies for what no reader notices (benchmarks/recordings.py).
 """
-LARGEST_CHANGE = 0.5
-"""Of a link's mass in a refit, as of one that is said to have moved: more is no body of the arm."""
 REFIT_ROUNDS = 2
 """Fits with the errors e_j of the one before: a joint that friction was lacking counts again."""
 
@@ -214,7 +213,7 @@ class _Heir:
             change = fit.x - x[columns]
             mass = self.bodies[:, 0]
             share = np.abs(change[: self.bodies.size : 10] / mass).max()
-            x[columns] += change * min(1.0, LARGEST_CHANGE / share)
+            x[columns] += change * min(1.0, LARGE_CHANGE / share)
         return x
 
 

@@ -66,6 +66,7 @@ class Data:
         cutoff_why: Why that cut-off, as a sentence.
         drive: Drive gains on which torque in N·m rests, if it was recorded as current.
         poses: What is known of poses; None of motions.
+        delay: Time by which the torque was read earlier than it was logged [s].
     """
 
     train: tuple[Segment, ...]
@@ -76,6 +77,7 @@ class Data:
     cutoff_why: str = ""
     drive: DriveGains | None = None
     poses: Poses | None = None
+    delay: float = 0.0
 
     @property
     def sensors(self) -> SensorNoise | None:

@@ -224,7 +224,7 @@ def _joints(estimate: Estimate, covered: Coverage) -> list[dict[str, Any]]:
 def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
     robot = estimate.given
     physical = estimate.physical
-    effects = estimate.effects
+    effects = estimate.physical.estimated(estimate.model.effects)
     coefficients = [p for e in effects for p in e.parameters(robot)]
     owners = [link for link in robot.links for _ in UNITS]
     owners += [p.name.rpartition(".")[0] for p in coefficients]
@@ -336,7 +336,7 @@ def _lacking(estimate: Estimate) -> list[str]:
     robot = estimate.given
     base = estimate.base
     fit = estimate.least_squares
-    effects = estimate.effects
+    effects = estimate.physical.estimated(estimate.model.effects)
     units = units_of(robot, effects, estimate.drive)
     values = []
     for i in impossible_values(robot, effects, base, fit):

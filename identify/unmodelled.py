@@ -1,4 +1,4 @@
-"""What the data hold that the model lacks: values of no arm, and torque by the position of a joint.
+"""What the data hold that the model lacks: values of no arm, a delay, torque by position.
 
 A spring, a counterbalance or a cable at joint j pulls with s_j(q_j), which the columns W of bodies,
 friction and offset partly take over. What they leave of q_j shows it,
@@ -9,25 +9,28 @@ with the column C of a linear spring and the errors e of the fit. Gravity takes 
 b sin q_j wholly: of bodies that are far off and a spring, the fit can choose neither. Nominal
 bodies can, where few directions are off, not a whole body (`physical.agreement`).
 
-Bodies are then fitted beside such torque, of which a normal prior of its coefficients θ, those of
-q_j, cos q_j, sin q_j and 1, keeps what gravity's may be as well; the model has both. Base parameters
-without it are off by B θ: their covariance gets B M Bᵀ, M = θ̂ θ̂ᵀ + V the second moment of θ.
+Bodies are then fitted beside such torque, whose coefficients θ of q_j, cos q_j, sin q_j and 1 have
+a normal prior; the model has both. Base parameters without it are off by B θ: their covariance gets
+B M Bᵀ, M = θ̂ θ̂ᵀ + V the second moment of θ.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 
 from excitant.exceptions import RankDeficient
+from excitant.identify.attenuation import attenuation
 from excitant.identify.estimators import FALSE_ALARM
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import (
     LeastSquares,
     autocorrelation_time,
+    settled,
     weighted_least_squares,
 )
 from excitant.identify.physical import (
@@ -37,6 +40,7 @@ from excitant.identify.physical import (
     fit_physical,
 )
 from excitant.identify.prior import BodyPrior
+from excitant.identify.recording import Recording
 from excitant.identify.regression import (
     DEPENDENT,
     Regression,
@@ -47,13 +51,12 @@ from excitant.identify.rows import FitRows, states
 from excitant.identify.shapes import REFINEMENT
 from excitant.robots.base_parameters import BaseParameters, categories
 from excitant.robots.effects import EFFECTS, Effect, Spring
+from excitant.robots.effects.sensing import LONGEST_DELAY
 from excitant.robots.motion import Array, read_only
 from excitant.robots.robot import Robot
 
 IMPOSSIBLE_BY_CHANCE = 0.05
 """Probability that any possible coefficient is said to be none, of all of them; convention."""
-RESTS = 1
-"""Place of the constant among the coefficients of springs at a joint, q, 1, cos q and sin q."""
 
 
 def impossible_values(
@@ -72,6 +75,130 @@ def impossible_values(
     tried = max(np.isfinite(least).sum(), 1)
     beyond = fit.beta - scipy.special.ndtri(IMPOSSIBLE_BY_CHANCE / tried) * fit.std
     return tuple(np.flatnonzero(beyond < least).tolist())
+
+
+class Delay(NamedTuple):
+    """Time by which the torque of all joints lags the motion, with its standard deviation [s]."""
+
+    value: float = 0.0
+    std: float = 0.0
+
+    @property
+    def sentence(self) -> str:
+        """How late the torque is, and what was done."""
+        way, read = ("lags", "earlier") if self.value > 0 else ("leads", "later")
+        return (
+            f"torque {way} the motion by {1e3 * abs(self.value):.2f} ± {1e3 * self.std:.1g} ms: it "
+            f"is read as much {read}, in the hold-out too"
+        )
+
+    def on_time(self, recording: Recording) -> Recording:
+        """The recording with the torque read earlier."""
+        t = recording.t
+        tau = scipy.interpolate.make_interp_spline(t, recording.tau, k=3)
+        return replace(recording, tau=tau(np.clip(t + self.value, t[0], t[-1])))
+
+
+def delay_of(rows: FitRows) -> Delay | None:
+    """Delay d of the torque, τ(t) = W(t − d) x, by rows apart from reversals; None if by chance.
+
+    The column of a change of d is −dτ/dt, one for each joint. Rows around a reversal are left out:
+    what the law of friction lacks there is no delay.
+    """
+    direction = np.sign(states(rows.data.train)[1])
+    window = 7  # rows: the filter reaches two on either side, 40 ms the third
+    turns = scipy.ndimage.maximum_filter1d(direction, window, axis=0) != (
+        scipy.ndimage.minimum_filter1d(direction, window, axis=0)
+    )
+    some = slice(None, None, -(-len(turns) // REFINEMENT.instants))
+    apart = replace(rows, used=rows.used & ~turns)
+    problem = rows.reduced.counting(apart.used).at(some)
+    torque = _torque_over_time(rows)
+    nv = rows.robot.nv
+    names = [f"delay {joint}" for joint in rows.robot.joints]
+    chance = -float(scipy.special.ndtri(FALSE_ALARM / 2))
+    value = 0.0
+    for _ in range(REFINEMENT.rounds):
+        rate = -torque(value, 1)[some, :, None] * np.eye(nv)
+        late = problem.with_torque(torque(value, 0)[some]).with_columns(rate, names)
+        try:
+            factor, beta, _, _ = settled(late)
+            root = factor.inverse[-nv:] / factor.norms[-nv:, None]
+            white, *_ = _common(beta[-nv:], root @ root.T)
+            if abs(value + white.value) < chance * white.std:
+                return None  # coloured noise leaves it less certain still
+            fit = weighted_least_squares(late)
+        except RankDeficient:
+            return None
+        step, scatter, share = _common(fit.beta[-nv:], fit.covariance[-nv:, -nv:])
+        value += step.value
+        std = step.std * np.sqrt(max(scatter, 1.0))
+        if not chance * std < abs(value) < LONGEST_DELAY + chance * std:
+            return None
+        if abs(step.value) < std / 10:
+            break
+    std = float(np.hypot(std, share @ _by_noise(apart, late, fit)[-nv:]))
+    return Delay(value, std) if abs(value) > chance * std else None
+
+
+def _common(values: Array, covariance: Array) -> tuple[Delay, float, Array]:
+    """Mean of the joints' delays, (nv,), that is least uncertain, scatter, and share of each.
+
+    By the scatter, the squares of what joints disagree by over those of chance, the variance of the
+    mean is larger (Birge 1932): a delay is common to all, what friction laws lack is not.
+    """
+    information = np.linalg.inv(covariance)
+    share = information.sum(axis=0) / information.sum()
+    mean = float(share @ values)
+    off = values - mean
+    scatter = float(off @ information @ off) / max(len(values) - 1, 1)
+    return Delay(mean, float(information.sum() ** -0.5)), scatter, share
+
+
+def spread_of(
+    delay: Delay, rows: FitRows, fit: LeastSquares, covariance: Array
+) -> Array:
+    """Change of all parameters, of that covariance, by one standard deviation of it, (p, 1)."""
+    rate = _torque_over_time(rows)(0.0, 1)
+    gram = rows.regression.with_columns(rate[:, :, None], ["delay"]).gram(
+        fit.weight**2
+    )
+    p = len(covariance)
+    return delay.std * covariance @ gram[:p, p:-1]
+
+
+def _torque_over_time(rows: FitRows) -> Callable[[float, int], Array]:
+    """Torque at the rows, read later by a time [s], or its derivative of an order, (n, nv)."""
+    segments = rows.data.train
+    pairs = [
+        (scipy.interpolate.make_interp_spline(s.motion.t, s.tau, k=3), s.t)
+        for s in segments
+    ]
+
+    def torque(delay: float, order: int) -> Array:
+        parts = [spline(t + delay, order) for spline, t in pairs]
+        return np.concatenate(parts) * rows.gains
+
+    return torque
+
+
+def _by_noise(rows: FitRows, problem: Regression, fit: LeastSquares) -> Array:
+    """Bias of coefficients by noise of the motion, of which delays have none, shape (r + nv,)."""
+    weight = 1 / fit.sigma
+    base = rows.base.columns
+    noise = attenuation(
+        rows.robot,
+        rows.effects,
+        rows.data.train,
+        rows.used,
+        weight,
+        base,
+        fit.beta[: len(base)],
+    )
+    noise = np.append(noise, np.zeros(len(fit.beta) - len(base)))
+    gram = problem.gram(weight**2)[:-1, :-1]
+    bias = np.linalg.solve(gram, noise * len(problem) / len(rows.used))
+    return np.asarray(bias, float)
 
 
 def allowing_for_springs(
@@ -114,8 +241,8 @@ def allowing_for_springs(
         return fit, physical, ()
     std = np.zeros_like(size)
     std[joints] = size[joints] * of_joints[joints, None]
-    # where it is at rest no motion shows: it may hold all of the joint's torque
-    std[joints, RESTS] = size[joints, RESTS] / AGREEMENT.least
+    # of q, 1, cos q and sin q, the constant may hold all of the joint's torque: no motion shows it
+    std[joints, 1] = size[joints, 1] / AGREEMENT.least
     acting = std.ravel() > 0
     at = [*range(end), *(end + np.flatnonzero(acting)).tolist()]
     prior = BodyPrior(bodies, of_links)
