@@ -61,8 +61,7 @@ def test_link_5_as_printed_is_impossible_and_what_is_nearest() -> None:
     """Kolmogorov: no consistent body lies on the printed one's side of the nearest."""
     bodies = {body.link: body for body in benchmark.nearest_bodies()}
     assert set(bodies) == {"link4", "link5"}
-    lines = "\n".join(benchmark.body_lines())
-    assert "Ixx > Iyy + Izz, 0.002602 > 0.001349 + 0.001211" in lines
+    assert "Ixx > Iyy + Izz, 0.002602 > 0.001349 + 0.001211" in "\n".join(benchmark.body_lines())
     rng, initial = np.random.default_rng(0), dd_arm_parameters("initial").reshape(6, 10)
     for link, body in bodies.items():
         assert violations(body.printed, (link,))

@@ -43,8 +43,7 @@ def test_a_recording_among_several_is_told_from_the_others(
 ) -> None:
     planted, size = PLANTED["coulomb_friction"]
     [other] = runs(planar, 4, hidden=[planted], names=["other"])
-    estimate = identify_robot(planar, [*plain[:2], other], validate=plain[2])
-    [found] = estimate.differences
+    [found] = identify_robot(planar, [*plain[:2], other], validate=plain[2]).differences
     assert (found.recording, found.effect.joints) == ("other", ("joint1",))
     assert found.effect.coefficients[0] == pytest.approx(size, rel=0.05)
 

@@ -253,8 +253,7 @@ def test_sdf_needs_the_torque_of_all_that_it_holds(written: Written) -> None:
 def test_ros2_parameters_hold_what_a_controller_adds(written: Written) -> None:
     """Doubles by name for any node: feed-forward of speed, friction, and what weighs the arm."""
     model, motion, _ = written
-    files = model_files(model, "arm", "arm.yaml", ["ros2_control"])
-    text = files["arm_ros2_control.yaml"]
+    text = model_files(model, "arm", "arm.yaml", ["ros2_control"])["arm_ros2_control.yaml"]
     [(node, [(key, found)])] = [(n, [*c.items()]) for n, c in yaml.safe_load(text).items()]
     assert (node, key) == ("/**", "ros__parameters")
     assert not re.search(r"[:-] -?\d+$", text, re.MULTILINE)

@@ -218,8 +218,7 @@ def test_friction_at_a_reversal_is_no_outlier(clean: Log, at: int, later: int, o
     tau = 100 * np.sin(2 * np.pi * rows / 628) + 0.02 * noise
     tau -= np.select([rows < 628, rows == 628], [0, at], later)
     faults = find_faults(PLANAR, replace(clean, tau=np.column_stack([tau, clean.tau[:, 1]])))
-    found = [f.evidence["rows"].tolist() for f in faults if f.fault == "corrupt_rows"]
-    assert found == outliers
+    assert [f.evidence["rows"].tolist() for f in faults if f.fault == "corrupt_rows"] == outliers
 
 
 @pytest.mark.parametrize(("delay", "faults"), [(0.0, set()), (0.2, {"time_delay"})])

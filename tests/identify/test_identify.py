@@ -10,6 +10,7 @@ import pytest
 from known_arms import Call
 from marks import refused, slow
 from plant_recordings import PENDULUM
+from scipy.interpolate import make_interp_spline
 
 from excitant.exceptions import RankDeficient
 from excitant.identify import Estimate, Recording, identify_robot, load_dataset, model_files
@@ -237,6 +238,26 @@ def test_a_spring_opens_the_intervals_of_what_it_is_taken_for(pull: Call, ur10, 
     assert (off < 3 * found.base_std).all()
     told = [sum("counterbalance" in note for note in each.notes) for each in (without, found)]
     assert told == [0, 1]
+    # the model has it beside its bodies, and no file imitates it by a mass
+    assert {e.name for e in found.model.effects} > {e.name for e in without.model.effects}
+    assert (found.validate.nrmse < 0.01).all()
+    for arm in (found.model, *(file.arm for file in publication(found).exported)):
+        np.testing.assert_array_less(abs(arm.phi[::10] / ur10.phi[::10] - 1), 0.55)
+
+
+@pytest.mark.parametrize("late", [-0.008, 0.02])
+def test_a_delay_common_to_all_joints_is_made_up_for(late: float, ur10, nominal) -> None:
+    """Of a log without one nothing is told; that of a single joint is none of the log."""
+    tau = [make_interp_spline(x.t, x.tau)(np.clip(x.t - late, 0, x.t[-1])) for x in nominal]
+    pairs = [*zip(nominal, tau, strict=True)]
+    alone = [replace(x, tau=np.where(np.arange(6) == 1, own, x.tau)) for x, own in pairs]
+    runs = (nominal, [replace(x, tau=own) for x, own in pairs], alone)
+    without, found, single = (identified(ur10, each) for each in runs)
+    told = [sum(" ms: " in x for x in each.notes) for each in (without, found, single)]
+    assert told == [0, 1, 0]
+    assert abs(found.data.delay - late) < 1e-3
+    off = np.abs(found.least_squares.beta - without.least_squares.beta)
+    assert (off < 4 * found.base_std).all()
 
 
 def test_real_ur10_is_no_worse_than_the_reference(data_folder: Path) -> None:

@@ -729,8 +729,7 @@ def test_damaged_rows_and_columns(load: Call, log: Path) -> None:
     lines = text.splitlines()
     for line, cells in ((lines[43].rpartition(",")[0], 18), (f"{lines[43]},1", 20)):
         log.write_text("\n".join([*lines[:43], line, *lines[44:]]) + "\n")
-        why = f"{cells} cells where the header"
-        assert refusal(why, load, log, error=BadRecording).row == 42
+        assert refusal(f"{cells} cells where the header", load, log, error=BadRecording).row == 42
     log.write_text(text[:-3])
     np.testing.assert_array_equal(load(log).tau, TAU[:-1])
     assert any("last line left out" in note for note in load(log).notes)

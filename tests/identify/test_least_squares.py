@@ -89,8 +89,7 @@ def test_parts_without_the_joints_where_they_do_not_act_are_the_same_columns() -
     assert [part.joints.tolist() for part in parts[1:]] == [[0], [], [NV - 1]]
     for part, whole in zip(parts, all_of, strict=True):
         np.testing.assert_array_equal(part.on(NV), whole)
-    turned = ActingColumns.of(W[:, ::-1], range(NV)[::-1])
-    np.testing.assert_array_equal(turned.on(NV), W)
+    np.testing.assert_array_equal(ActingColumns.of(W[:, ::-1], range(NV)[::-1]).on(NV), W)
     np.testing.assert_allclose((parts[0] @ MIXTURE).on(NV), W @ MIXTURE, atol=1e-14)
     wide = np.concatenate(all_of, axis=2)
     names = [str(k) for k in range(wide.shape[2])]
@@ -126,8 +125,7 @@ def test_a_joint_without_torque_hides_no_parameter_of_the_others(size: float) ->
 def test_what_a_motion_does_not_show_is_named_whatever_the_noise() -> None:
     """As without noise of several sizes: `test_silent_and_dependent_columns_are_named`."""
     twin = dense(W[:, :, [0, 1, 2, 3, 3]], TAU * np.array([1.0, 1e-9, 1e3]), NAMES)
-    error = refusal(".", weighted_least_squares, twin, error=RankDeficient)
-    assert error.names == ("d", "e")
+    assert refusal(".", weighted_least_squares, twin, error=RankDeficient).names == ("d", "e")
 
 
 def test_the_covariance_of_columns_that_nearly_depend_is_that_of_independent_ones() -> None:
@@ -249,8 +247,7 @@ def test_intervals_hold_95_percent_of_unseen_readings(rho: float, n: int) -> Non
         fit = weighted_least_squares(dense(W, tau, tuple("abcdefgh")))
         residual = tau - W @ fit.beta
         found = prediction_interval(new, fit, list(residual.T))
-        unseen = new @ beta + noise(rho, rng, 200) * SIZES
-        error = np.abs(unseen - new @ fit.beta)
+        error = np.abs(new @ beta + noise(rho, rng, 200) * SIZES - new @ fit.beta)
         hits.append(coverage(list((error <= found.half_width).T)).share)
         rms = np.sqrt((residual**2).mean(axis=0))
         plain.append(coverage(list((error <= 1.96 * rms).T)).share)

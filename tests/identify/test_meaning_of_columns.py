@@ -265,8 +265,7 @@ def test_the_hold_out_is_repaired_like_the_fit(runs: Call, save: Call) -> None:
     run, held = runs(planar, 3, sensors=industrial_sensors(planar))
     turned = (replace(each, tau=each.tau * [1, -1]) for each in (run, held))
     files = [str(save(each, f"{each.name}.parquet")) for each in turned]
-    dataset = load_dataset("planar_2r")
-    read = Data(validate=[files[1]], repair=True).read(dataset, [files[0]])
+    read = Data(validate=[files[1]], repair=True).read(load_dataset("planar_2r"), [files[0]])
     for repaired, recording in ((read.fit[0], run), (read.holdout[0], held)):
         np.testing.assert_array_equal(repaired.tau, recording.tau)
     assert [entry["repaired"] for entry in read.entries["faults"]] == [True, True]

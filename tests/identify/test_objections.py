@@ -39,8 +39,7 @@ def test_a_joint_that_is_not_explained_forbids_it(estimate: Estimate, joint: int
     assert objections(model, with_error(judged, joint, MISSED - 0.05)) == []
     [missed] = objections(model, with_error(judged, joint, MISSED + 0.05))
     assert f"% of the torque of {model.joints[joint]}" in missed.why
-    useless = objections(model, with_error(judged, joint, 1.5))
-    assert "worse than no model" in useless[0].why
+    assert "worse than no model" in objections(model, with_error(judged, joint, 1.5))[0].why
 
 
 def test_friction_beyond_the_effort_limit_forbids_it_and_so_does_no_judgement(estimate: Estimate):

@@ -153,8 +153,7 @@ def stopping(motion: Motion, since: float = 0.0) -> Motion:
     """The motion, the second joint at rest from an instant on."""
     moves = np.column_stack([np.ones(len(T)), since > T])
     last = motion.q[np.searchsorted(T, since)]
-    q = np.where(moves, motion.q, last)
-    return Motion(T, q, motion.dq * moves, motion.ddq * moves)
+    return Motion(T, np.where(moves, motion.q, last), motion.dq * moves, motion.ddq * moves)
 
 
 def test_a_joint_at_rest_gives_no_row_where_friction_is_dry(planar: Robot) -> None:

@@ -91,8 +91,7 @@ def test_no_payload_too_little_motion_and_no_unloaded_arm_are_said(held: Runs) -
     empty = identify_payload(PANDA, [first], unloaded=[second])
     assert empty.mass < 0.02 * MASS
     assert "no payload is seen" in empty.shortcomings[0]
-    move = held[0].between(0, 0.06, "half a move")
-    poor = identify_payload(PANDA, [move], unloaded=held[1:])
+    poor = identify_payload(PANDA, [held[0].between(0, 0.06, "half a move")], unloaded=held[1:])
     assert "only" in poor.shortcomings[0]
     assert (np.abs(poor.centre - CENTRE) < 4 * poor.centre_std).all()
     rough = identify_payload(PANDA, held[:1])
@@ -195,8 +194,7 @@ def test_what_is_kept_is_of_that_model_alone(planar: Robot, planar_runs: Runs) -
 def test_a_payload_in_a_loop_is_seen_when_it_is_picked_up(planar_runs: Runs, planar: Robot) -> None:
     """On top of the unloaded arm, forgetting within a second."""
     held, free = planar_runs
-    model = identify_robot(planar, [free]).model
-    loop = PayloadEstimator(model, rate_hz=250.0, forgetting=1.0)
+    loop = PayloadEstimator(identify_robot(planar, [free]).model, rate_hz=250.0, forgetting=1.0)
     found = []
     for run, since in ((free, 0.0), (held, 20.0)):
         for t, q, tau in zip(run.t + since, run.q, run.tau, strict=True):

@@ -213,8 +213,7 @@ def test_the_fit_is_the_same_in_any_frame() -> None:
 
 def test_a_link_without_mass_is_a_placeholder_of_one() -> None:
     robot = load_robot("planar_2r")
-    massless = robot.with_parameters(robot.phi * (np.arange(20) != 10))
-    first, last = prior_parameters(massless)
+    first, last = prior_parameters(robot.with_parameters(robot.phi * (np.arange(20) != 10)))
     np.testing.assert_array_equal(first, robot.phi[:10])
     assert 0 < last[0] < 1e-3 * first[0]
     assert violations(last, ["link2"]) == []
@@ -381,8 +380,7 @@ def test_known_masses_hold_exactly_or_as_far_as_they_are_sure() -> None:
     assert C[0, 0] <= 1e-12
     assert np.sqrt(C[1, 1]) <= 1e-4 * (1 + 1e-6)
     assert C.sum() <= 1e-10 * total**2
-    unsure = SEEN.bodies(Knowledge(Quantity(total, 1e6)))[:, 0]
-    np.testing.assert_allclose(unsure, free, rtol=1e-4)
+    np.testing.assert_allclose(SEEN.bodies(Knowledge(Quantity(total, 1e6)))[:, 0], free, rtol=1e-4)
 
 
 def test_centres_and_masses_stay_where_they_are_known_to_be() -> None:

@@ -121,8 +121,7 @@ def test_columns_and_torque_pass_the_same_filter_also_in_parts(ur10, monkeypatch
     columns, torque = segment.rows_of(kinds)
     np.testing.assert_allclose(columns @ ur10.phi, torque, atol=1e-9 * np.abs(torque).max())
     assert len(torque) == len(segment.t) == len(segment.tau[segment.keep])
-    small = replace(SAMPLING, chunk=500)
-    monkeypatch.setattr("excitant.identify.preprocessing.SAMPLING", small)
+    monkeypatch.setattr("excitant.identify.preprocessing.SAMPLING", replace(SAMPLING, chunk=500))
     np.testing.assert_allclose(segment.rows(kinds[0]), columns, atol=1e-6 * np.abs(columns).max())
     # what effects share of a part is computed once
     torque_derivatives.cache_clear()

@@ -91,8 +91,7 @@ def test_a_bad_file_is_refused_by_name(tmp_path: Path) -> None:
 
 
 def test_other_units_and_too_little_to_hold_out_are_refused(table: pd.DataFrame) -> None:
-    renamed = table.rename(columns={"tau1": "i1", "tau2": "i2"})
-    logs = (("torque", table), ("current", renamed))
+    logs = (("torque", table), ("current", table.rename(columns={"tau1": "i1", "tau2": "i2"})))
     one, other = (recording_from_table(x, 2, file=f"{name}.csv", name=name) for name, x in logs)
     assert (one.unit, other.unit) == ("N·m", "A")
     for first, second in ((one, other), (other, one)):

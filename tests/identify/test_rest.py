@@ -73,8 +73,7 @@ def test_poses_show_gravity_and_offsets_alone() -> None:
         assert shown == {"m", "o"}  # masses, first moments, offsets
     assert np.mean(np.abs(off) < 1.96) > 0.85  # of 60, 57 ± 1.7
     log = poses(0)
-    turned = replace(log, tau=log.tau * [1, -1])
-    assert not publication(identify_robot(ARM, [turned])).published
+    assert not publication(identify_robot(ARM, [replace(log, tau=log.tau * [1, -1])])).published
     moving = replace(log, dq=np.full_like(log.q, 0.5))
     wrong = (
         (log, replace(log, t=log.t + 1), "unseen"),
