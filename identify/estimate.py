@@ -18,7 +18,6 @@ from excitant.identify.accuracy import (
     prediction_interval,
     series,
 )
-from excitant.identify.attenuation import attenuation
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated, spoiled
 from excitant.identify.knowledge import Knowledge
@@ -72,6 +71,7 @@ from excitant.identify.unmodelled import (
     allowing_for_springs,
     delay_of,
     impossible_values,
+    of_noise,
     spread_of,
 )
 from excitant.robots.base_parameters import (
@@ -390,7 +390,7 @@ def identify_robot(
         notes += (shapes.sentence,)
     fit, name, remarks = estimated(rows, fitted(recordings, validate), estimator)
     R, z = rows.regression.factor(fit.weight)
-    noise = _of_noise(rows, fit)
+    noise = of_noise(rows, fit)
     if name in BIASED:
         fit = _with_bias(rows, fit, noise)
     if name != "wls":
@@ -451,19 +451,6 @@ def _of_poses(
         # base parameters of gravity are no prior of a motion's
         model=replace(estimate.model, estimate=None),
         data=replace(rows.data, poses=Poses(SHOWN * unexplained, kept(robot))),
-    )
-
-
-def _of_noise(rows: FitRows, fit: LeastSquares) -> Array:
-    """E[EᵀE] β of columns with errors E by noise of the motion, shape (r,)."""
-    return attenuation(
-        rows.robot,
-        rows.effects,
-        rows.data.train,
-        rows.used,
-        1 / fit.sigma,
-        rows.base.columns,
-        fit.beta,
     )
 
 

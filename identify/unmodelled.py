@@ -182,23 +182,26 @@ def _torque_over_time(rows: FitRows) -> Callable[[float, int], Array]:
     return torque
 
 
-def _by_noise(rows: FitRows, problem: Regression, fit: LeastSquares) -> Array:
-    """Bias of coefficients by noise of the motion, of which delays have none, shape (r + nv,)."""
-    weight = 1 / fit.sigma
+def of_noise(rows: FitRows, fit: LeastSquares) -> Array:
+    """E[EᵀE] β of base columns with errors E by noise of the motion, β the first of a fit, (r,)."""
     base = rows.base.columns
-    noise = attenuation(
+    return attenuation(
         rows.robot,
         rows.effects,
         rows.data.train,
         rows.used,
-        weight,
+        1 / fit.sigma,
         base,
         fit.beta[: len(base)],
     )
-    noise = np.append(noise, np.zeros(len(fit.beta) - len(base)))
-    gram = problem.gram(weight**2)[:-1, :-1]
-    bias = np.linalg.solve(gram, noise * len(problem) / len(rows.used))
-    return np.asarray(bias, float)
+
+
+def _by_noise(rows: FitRows, problem: Regression, fit: LeastSquares) -> Array:
+    """Bias of coefficients by noise of the motion, of which delays have none, shape (r + nv,)."""
+    noise = of_noise(rows, fit) * len(problem) / len(rows.used)
+    gram = problem.gram(fit.sigma**-2.0)[:-1, :-1]
+    padded = np.pad(noise, (0, len(gram) - len(noise)))
+    return np.asarray(np.linalg.solve(gram, padded), float)
 
 
 def allowing_for_springs(
