@@ -99,11 +99,13 @@ class Smoothing:
 
     Attributes:
         wider: Cut-off of positions over the bandwidth of the motion, which passes to 1e-3.
+        narrower: The same, lower: what estimates change by is what either may be off.
         highest: Largest cut-off over the sampling rate.
         caution: Factor of the noise, lest the largest of many frequencies pass for motion.
     """
 
     wider: float = 2.5
+    narrower: float = 2.0
     highest: float = 0.4
     caution: float = 2.0
 
@@ -144,10 +146,10 @@ def estimated(
         except np.linalg.LinAlgError as error:
             few = "every second sample shows too little of the motion; take smooth"
             raise BadInput(f"estimator iv: {few}") from error
-    smoothed, cutoffs_hz = smoothed_regression(rows)
+    fit, cutoffs_hz = smoothed_fit(rows)
     up_to = f"positions count up to {_band(cutoffs_hz)}"
     said = f"{up_to}, above which noise drowns their acceleration"
-    return weighted_least_squares(smoothed), name, (note, said)
+    return fit, name, (note, said)
 
 
 def spoiled(rows: FitRows) -> bool:
@@ -221,9 +223,8 @@ def _smooth(rows: FitRows, fit: LeastSquares) -> tuple[LeastSquares, str]:
     share = coarseness(rows.data.train)
     if not (share > ATTENUATION).any():
         return fit, ""
-    smoothed, cutoffs_hz = smoothed_regression(rows)
     try:
-        found = weighted_least_squares(smoothed)
+        found, cutoffs_hz = smoothed_fit(rows)
     except RankDeficient:
         return fit, ""
     if np.log(found.sigma / fit.sigma).sum() >= 0:
@@ -388,14 +389,30 @@ def half_regressions(
     return even, odd
 
 
-def smoothed_regression(rows: FitRows) -> tuple[Regression, Array]:
+def smoothed_fit(rows: FitRows) -> tuple[LeastSquares, Array]:
+    """Least squares on smoothed positions, and their cut-offs, (segments, nv) [Hz].
+
+    What a lower cut-off changes, of noise that is left and of motion that is lost, is uncertain.
+    """
+    smoothed, cutoffs_hz = smoothed_regression(rows)
+    fit = weighted_least_squares(smoothed)
+    less, _ = smoothed_regression(rows, SMOOTHING.narrower)
+    change = weighted_least_squares(less).beta - fit.beta
+    covariance = fit.covariance + np.outer(change, change)
+    return replace(fit, covariance=covariance), cutoffs_hz
+
+
+def smoothed_regression(
+    rows: FitRows, wider: float | None = None
+) -> tuple[Regression, Array]:
     """The regression of a fit on smoothed positions, and their cut-offs, (segments, nv) [Hz].
 
     Positions pass up to 2.5 times the frequency where noise drowns the acceleration: the bias that
     noise below that makes falls with the bandwidth to the power 5. Simulating the closed loop of
     the model on this motion (output error: Gautier, Janot, Vandanjon 2013) predicts no better.
     """
-    smoothed = [_smoothed(segment) for segment in rows.data.train]
+    wider = wider or SMOOTHING.wider
+    smoothed = [_smoothed(segment, wider) for segment in rows.data.train]
     segments = [segment for segment, _ in smoothed]
     every = regression_of(rows.robot, rows.effects, segments)
     problem = every.select(rows.base.columns, rows.base.expressions)
@@ -404,14 +421,14 @@ def smoothed_regression(rows: FitRows) -> tuple[Regression, Array]:
     return problem, np.array([cutoff_hz for _, cutoff_hz in smoothed])
 
 
-def _smoothed(segment: Segment) -> tuple[Segment, Array]:
+def _smoothed(segment: Segment, wider: float) -> tuple[Segment, Array]:
     """Rows away from the edges of the filter, positions up to their cut-offs, (nv,) [Hz]."""
     rate = segment.rate_hz
     t = segment.motion.t
     q = segment.motion.q
     widest = SMOOTHING.highest * rate
-    wider = SMOOTHING.wider * _motion_bandwidth(segment)
-    cutoff_hz = np.clip(wider, 4 * rate / len(q), widest)
+    wanted = wider * _motion_bandwidth(segment)
+    cutoff_hz = np.clip(wanted, 4 * rate / len(q), widest)
     pairs = zip(q.T, cutoff_hz.tolist(), strict=True)
     smooth = np.column_stack([low_pass(channel, hz, rate) for channel, hz in pairs])
     keep = segment.keep

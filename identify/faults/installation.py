@@ -757,11 +757,16 @@ def _couplings(fit: TorqueFit) -> Iterator[Installation]:
     """Neighbours of which one's position is logged with that of the other added or taken off.
 
     θ = L q has the power of τ_θᵀ θ̇ = τᵀ q̇, so that τ = Lᵀ τ_θ, where torque is of the same axes.
+    Bodies tell that: friction of motors is of their axes in any case.
     """
     turns = fit.robot.revolute
+    bodies = rigid_body_torque(fit.robot, fit.data.motion).std(axis=0)
+    tells = bodies > MODEL_ERROR * fit.data.tau.std(axis=0)
     pairs = itertools.permutations(range(fit.robot.nv), 2)
     neighbours = [
-        (j, k) for j, k in pairs if abs(j - k) == 1 and turns[j] == turns[k]
+        (j, k)
+        for j, k in pairs
+        if abs(j - k) == 1 and turns[j] == turns[k] and (tells[j] or tells[k])
     ]
     choices = itertools.product(neighbours, (1.0, -1.0), (True, False))
     for (j, k), sign, torque in choices:
