@@ -35,8 +35,6 @@ WORSE, SMALL = 1.5, 0.05  # times the error of the model of faultless logs; nrms
 VERDICTS = ("named", "refused", "right", "said", "wrongly named", "silent and wrong", "crashed")
 WHERE = {"fit": ("fit",), "hold-out": ("held",), "both": ("fit", "held")}
 
-# Arms
-
 
 @dataclass(frozen=True, eq=False)
 class Run:
@@ -82,8 +80,6 @@ def run_of(robot: Robot, seed: Sequence[int], rate_hz: float = 125.0, off: float
 def recorded(robot: Robot, seed: int, rate_hz: float = 125.0) -> Log:
     return run_of(robot, (3, seed, 0), rate_hz, off=0.03).log
 
-
-# Mistakes
 
 Mistake = Callable[[Robot, Log, Rng], Log]
 Change = Callable[[Array, Log, Rng], Any]  # of columns, (n, k), or of the time
@@ -171,12 +167,12 @@ def weight(robot: Robot, q: Array) -> Array:
     return TrueArm(robot.model).torque(Motion(np.arange(float(len(q))), q, 0 * q, 0 * q))
 
 
-def loaded(run: Run, share: float = 0.2) -> Log:
-    """With a load of a share of what moves of the arm, in its hand."""
-    robot = run.plant.robot
-    body = share * robot.phi[::10].sum() * payload(robot, np.random.default_rng(run.seed[:2]))
-    heavy = replace(run.plant, robot=heavier(robot, robot.nv - 1, body))
-    return replace(run, plant=heavy).log
+def loaded(run: Run) -> Log:
+    """With a load of a fifth of what moves of the arm, in its hand."""
+    robot, rng = run.plant.robot, np.random.default_rng(run.seed[:2])
+    body = 0.2 * robot.phi[::10].sum() * payload(robot, rng)
+    plant = replace(run.plant, robot=heavier(robot, robot.nv - 1, body))
+    return replace(run, plant=plant).log
 
 
 def in_ampere(log: Log) -> Log:
@@ -372,8 +368,6 @@ FAULTLESS: dict[str, tuple[Callable[[Run], Log], float, float]] = {
 MADE |= {how: ("", make) for how, (make, *_) in FAULTLESS.items()}
 KINDS: dict[str, tuple[str, Any]] = {**READ, **MADE, **PAIRED}
 
-# Verdicts
-
 
 @cache
 def runs(arm: str, seed: int, rate_hz: float = 125.0, off: float = 0.1) -> list[Run]:
@@ -463,9 +457,6 @@ def verdict(kind: str, where: str, arm: str, seed: int) -> dict[str, Any]:
     fits = [v for v, most in verdicts.items() if kind not in PAIRED and (off <= most).all()]
     found = [*fits, "silent and wrong"][0]
     return case | {"verdict": found, "why": f"nrmse {off.max():.2g}"}
-
-
-# The campaign
 
 
 def chosen(words: Sequence[str]) -> list[str]:

@@ -20,6 +20,7 @@ from excitant.analysis.downgrade import reason_to_downgrade
 from excitant.analysis.evidence import are_placeholders, placeholder_links
 from excitant.analysis.explanation import at_rest, headline
 from excitant.analysis.residuals import QUANTITIES, Residual
+from excitant.analysis.selection import Rival
 from excitant.analysis.thresholds import CONFIRMATION
 from excitant.identify import model_files
 from excitant.identify.preprocessing import away_from_rest
@@ -447,11 +448,20 @@ def test_an_undecided_size_has_no_deviation(coulomb: Diagnosis) -> None:
     assert [each.is_open for each in off] == [True, True, True, False]
     # what it adds is an error of the others
     fit, effect = coulomb.extension, EFFECTS["viscous_friction"](lead.effect.joints)
-    undecided = replace(lead, effect=effect.with_values((1.0,)))
+    undecided = replace(lead, effect=effect.with_values((1.0,)), downgrade="why")
     [own], [other] = fit.places(lead.effect), fit.places(effect)
     shift = fit.covariance[own, other] / fit.covariance[other, other] * (1.0 - lead.nominal[0])
     found = fit.unsure_of(lead, [lead, undecided])
     assert found.std[0] == pytest.approx(np.hypot(lead.std[0], shift), rel=1e-9)
+    # with a rival in its place it is what is fitted then, unless both are laws of one friction
+    here = fit.values[lead.effect.parameters(fit.model)[0].name]
+    model = fit.model.with_effects([lead.effect.with_values((here + 0.5,))])
+    spring = replace(lead, effect=EFFECTS["spring"](lead.effect.joints), instead=model)
+    for name, shift in (("torque_gain", 0.5), ("stribeck_friction", 0.0)):
+        alike = [c for c in fit.evidence.candidates if c.effect.name == name]
+        [rival] = [c for c in alike if c.effect.joints == lead.effect.joints][:1]
+        found = fit.unsure_of(lead, [replace(spring, rivals=(Rival(rival, (), 0.0, 1.0),))])
+        assert found.std[0] == pytest.approx(np.hypot(lead.std[0], shift), rel=1e-9)
 
 
 @pytest.mark.parametrize(

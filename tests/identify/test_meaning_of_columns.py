@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from known_arms import Call
 from marks import refused, slow
-from mistakes import MADE, READ, coupled, geared, run_of, scaled, shifted, with_rows
+from mistakes import MADE, READ, coupled, geared, loaded, run_of, scaled, shifted, with_rows
 
 from excitant.analysis.set_up import set_up
 from excitant.exceptions import BadRobot
@@ -152,6 +152,26 @@ def fit_of(robot: Robot, recording: Recording) -> TorqueFit:
     case = torque_fit(robot, log, smooth(log), set())
     assert case is not None
     return case
+
+
+@pytest.mark.parametrize(("arm", "seed", "run"), [("ur5e", 3, 0), ("ur5e", 1, 0), ("gen3", 2, 1)])
+def test_a_load_is_no_other_unit_nor_a_peak_saturation(arm, seed, run):
+    robot = load_robot(arm)
+    assert not find_faults(robot, loaded(run_of(robot, (3, seed, run))))
+
+
+def test_friction_of_motors_on_coupled_axes_is_no_coupling_of_the_columns():
+    """Bodies beyond the wrist are light: they tell no coupling."""
+    robot = load_robot("ur5e")
+    light = robot.phi.reshape(-1, 10) * np.array([1, 1, 1, 1, 0.1, 0.1])[:, None]
+    run = run_of(robot.with_parameters(light), (3, 0, 0))
+    axes = np.array([[0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 1, 1]])
+    motors = tuple((lambda s, k=k: np.tanh(s.dq @ axes[k] / 1e-3), 3.0 * axes[k]) for k in (0, 1))
+    arm = 1 - axes[1]
+    dry, viscous = arm * run.plant.coulomb, arm * run.plant.viscous
+    laws = (*run.plant.laws, *motors)
+    plant = replace(run.plant, coulomb=dry, viscous=viscous, laws=laws)
+    assert not find_faults(run.robot, replace(run, plant=plant).log)
 
 
 @pytest.mark.parametrize(
