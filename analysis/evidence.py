@@ -26,10 +26,10 @@ import scipy
 
 from excitant.analysis.thresholds import EVIDENCE, SELECTION
 from excitant.identify.least_squares import autocorrelation_time, believed
-from excitant.identify.regression import Index, Mask, Regression
+from excitant.identify.prior import placeholder_links
+from excitant.identify.regression import Index, Regression
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, frozen
-from excitant.robots.parameters import PLACEHOLDER
 from excitant.robots.robot import Robot
 
 Key = tuple[str, tuple[str, ...]]
@@ -435,17 +435,6 @@ def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
 def _noise(e: Array, counted: Array) -> tuple[Array, Array]:
     sigma = believed(np.maximum(np.sqrt((e**2).sum(axis=0) / counted), 1e-9))
     return sigma, np.array([autocorrelation_time(column) for column in e.T])
-
-
-def placeholder_links(robot: Robot) -> Mask:
-    """Links of whose bodies the robot says nothing, shape (nv,): those of no mass worth the name.
-
-    All of them where none has a mass, or three or more have the same, as in no real arm.
-    """
-    mass = robot.phi[::10]
-    if np.allclose(mass, mass[0], rtol=1e-6) and (len(mass) > 2 or not mass.any()):
-        return np.ones(len(mass), bool)
-    return np.asarray(mass < PLACEHOLDER * mass.sum(), bool)
 
 
 def are_placeholders(robot: Robot) -> bool:

@@ -8,6 +8,7 @@ from excitant.analysis.diagnosis import Diagnosis
 from excitant.identify.estimate import Estimate
 from excitant.identify.export import Publication, publication, published
 from excitant.identify.faults import proven
+from excitant.identify.objections import of_data
 from excitant.identify.repeats import unsure_zeros
 
 
@@ -38,8 +39,10 @@ def extended_publication(
         replace(diagnosis.holdout, predicted=diagnosis.extension.predicted),
         diagnosis.train.segments,
         force=force,
-        faults=[
-            *proven(faults),
-            *unsure_zeros(diagnosis.robot, diagnosis.differences),
-        ],
+        against=of_data(
+            [
+                *proven(faults),
+                *unsure_zeros(diagnosis.robot, diagnosis.differences),
+            ]
+        ),
     )

@@ -29,12 +29,14 @@ from excitant.identify.objections import (
     HoldOut,
     Objection,
     objections,
+    of_data,
     useless_joints,
 )
 from excitant.identify.preprocessing import Mask, Segment
 from excitant.identify.refit import Refit
 from excitant.identify.repeats import unsure_zeros
 from excitant.identify.rows import predicted_torque
+from excitant.identify.tables import of_bodies
 from excitant.robots.effects import (
     Effect,
     effect_entries,
@@ -656,7 +658,8 @@ def publication(
 ) -> Publication:
     """Files of an identified model, unless the data or the hold-out speak against it.
 
-    The data do by proven ``faults`` that were not repaired, a sentence each. The hold-out does
+    The data do by proven ``faults`` that were not repaired, a sentence each. Bodies do that no
+    description misses so far, unless the data tell them alone (`of_bodies`). The hold-out does
     where no model, the mean torque of a joint, predicts it better (r² < 0), and where the model as
     given predicts all joints together better than chance allows (`chance_of_loss`). With ``force``
     the model is published all the same. Joints that the model as given predicts better, though not
@@ -679,7 +682,12 @@ def publication(
         formats=formats,
         gains=estimate.gains if estimate.data.unit == "A" else None,
         force=force,
-        faults=(*faults, *unsure_zeros(estimate.given, estimate.differences)),
+        against=[
+            *of_data(
+                (*faults, *unsure_zeros(estimate.given, estimate.differences))
+            ),
+            *of_bodies(estimate),
+        ],
     )
 
 
@@ -705,17 +713,15 @@ def published(
     formats: Sequence[str] = USUAL,
     gains: Array | None = None,
     force: bool = False,
-    faults: Sequence[str] = (),
+    against: Sequence[Objection] = (),
 ) -> Publication:
     """The same of any model, whose files are named by its kind, ``identified`` or ``extended``.
 
     It was ``fitted`` to these segments. Gains are written, shape (nv,) [N·m/A], where torque was
-    measured as current.
+    measured as current. What speaks ``against`` it comes before what the hold-out has to object.
     """
     UnknownName.refuse("format", formats, FORMATS)
-    correct = "correct the recording, with --repair where it says so"
-    against = [Objection(fault, correct) for fault in faults]
-    against += objections(model, judged)
+    against = [*against, *objections(model, judged)]
     worse = worse_joints(
         model.joints, judged.series, judged.predicted, judged.nominal
     )

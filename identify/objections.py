@@ -87,6 +87,12 @@ _COLUMNS = (
 )
 
 
+def of_data(faults: Sequence[str]) -> list[Objection]:
+    """Objections of a model that is fitted to data with faults, a sentence each."""
+    correct = "correct the recording, with --repair where it says so"
+    return [Objection(fault, correct) for fault in faults]
+
+
 def objections(model: Robot, judged: HoldOut) -> list[Objection]:
     """Objections to a model, what is impossible first."""
     against = []

@@ -28,14 +28,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from excitant.exceptions import BadRobot
 from excitant.identify.information import Information, gaussian
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Motion, Noun
+from excitant.robots.motion import Array, Mask, Motion, Noun
 from excitant.robots.parameters import (
     PLACEHOLDER,
     PSEUDO_INERTIA_BASIS,
@@ -91,6 +90,17 @@ WEAKEST = 4  # directions seen worst, of all seen
 UNSEEN = 1e-9
 # of an entry's uncertainty: less means a move of less than 5 % of the entry
 _MATERIAL = 0.25
+
+
+def placeholder_links(robot: Robot) -> Mask:
+    """Links of whose bodies the robot says nothing, shape (nv,): those of no mass worth the name.
+
+    All of them where none has a mass, or three or more have the same, as in no real arm.
+    """
+    mass = robot.phi[::10]
+    if np.allclose(mass, mass[0], rtol=1e-6) and (len(mass) > 2 or not mass.any()):
+        return np.ones(len(mass), bool)
+    return np.asarray(mass < PLACEHOLDER * mass.sum(), bool)
 
 
 def prior_parameters(robot: Robot) -> Array:
@@ -371,7 +381,7 @@ def reached(L: Array, directions: Array, x: Array, links: int) -> Array:
     return np.minimum(_share(spread, size), 1.0)
 
 
-def silent_columns(R: Array) -> npt.NDArray[np.bool_]:
+def silent_columns(R: Array) -> Mask:
     """Columns that make no torque, shape (p,)."""
     norms = np.linalg.norm(R, axis=0)
     return norms <= 1e-11 * norms.max(initial=0.0)  # rounding

@@ -9,7 +9,8 @@ import numpy as np
 
 from excitant.identify.accuracy import Coverage, coverage, worse_joints
 from excitant.identify.friction import curves_over_velocity, friction_curves
-from excitant.identify.prior import decided_by
+from excitant.identify.objections import Objection
+from excitant.identify.prior import decided_by, placeholder_links
 from excitant.identify.rows import states, units_of
 from excitant.identify.unmodelled import impossible_values
 from excitant.robots.base_parameters import categories
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
 LARGE_CHANGE = 0.5
 """Of a nominal mass or of a link's length: it is named."""
+IMPOSSIBLE_CHANGE = 5.0
+"""Ratio of a mass to the nominal one, or the reverse, that no description of a link misses:
+convention. A last link may carry any tool."""
 SMALLEST_SHIFT = 0.01  # of a centre of mass [m]: a smaller one is not named
 SURE_STDS = 2.0  # standard deviations by which a first moment must be off
 _DECIDED_BY = {  # from the surest to the least sure
@@ -78,6 +82,25 @@ def body_changes(estimate: Estimate) -> list[dict[str, Any]]:
         }
         entries.append(entry)
     return entries
+
+
+def of_bodies(estimate: Estimate) -> list[Objection]:
+    """Objections to masses that no description misses so far, unless the data tell them alone."""
+    bodies = zip(
+        body_changes(estimate)[:-1], placeholder_links(estimate.given), strict=False
+    )
+    far = [
+        f"{body['link']} has {mass['value']:.2g} kg, not {mass['given']:.3g} kg as given"
+        for body, holds_a_place in bodies
+        if body["moved"] and not holds_a_place
+        if (mass := body["mass"])["decided_by"] != "data"
+        and abs(np.log(mass["value"] / mass["given"])) > np.log(IMPOSSIBLE_CHANGE)
+    ]
+    if not far:
+        return []
+    why = f"{'; '.join(far)}, which the data do not tell alone"
+    advice = "excite more, or say what is known of these bodies (--knowledge)"
+    return [Objection(why, advice)]
 
 
 def link_lengths(robot: Robot, bodies: Array) -> Array:

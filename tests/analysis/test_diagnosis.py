@@ -17,13 +17,14 @@ from planted import DRAWN, SCALAR, Case, Diagnosed, Runs, hidden
 from excitant.analysis.confirmation import Extender, Extension, Holdout, HoldoutScale, _cancelled
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.downgrade import reason_to_downgrade
-from excitant.analysis.evidence import are_placeholders, placeholder_links
+from excitant.analysis.evidence import are_placeholders
 from excitant.analysis.explanation import at_rest, headline
 from excitant.analysis.residuals import QUANTITIES, Residual
 from excitant.analysis.selection import Rival
 from excitant.analysis.thresholds import CONFIRMATION
 from excitant.identify import model_files
 from excitant.identify.preprocessing import away_from_rest
+from excitant.identify.prior import placeholder_links
 from excitant.reports.run import as_saved
 from excitant.results import record_of
 from excitant.robots import Motion, Robot, load_robot, torque

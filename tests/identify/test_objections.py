@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,9 +10,17 @@ from marks import refused
 from plant_recordings import PENDULUM
 
 from excitant.exceptions import BadRecording
-from excitant.identify import Estimate, Recording, identify_robot, split
+from excitant.identify import (
+    Estimate,
+    Recording,
+    identify_robot,
+    load_dataset,
+    publication,
+    split,
+)
 from excitant.identify.export import hold_out
 from excitant.identify.objections import MISSED, HoldOut, objections
+from excitant.identify.tables import of_bodies
 from excitant.robots import Robot
 
 TIME = np.arange(0, 12, 1 / 100)
@@ -58,6 +67,22 @@ def test_friction_beyond_the_effort_limit_forbids_it_and_so_does_no_judgement(es
 @pytest.mark.parametrize(
     "seen", [slice(None), slice(300, 700), slice(900, None), slice(1, None, 3)]
 )
+def test_masses_that_no_description_misses_so_far_forbid_it(data_folder: Path) -> None:
+    """Six short motions of a real arm show springs that it has not, and weightless links."""
+    arm = load_dataset(data_folder / "lwa4p")
+    fit, held = (arm.recordings(names) for names in (["rec01", "rec02", "rec05"], ["rec06"]))
+    found = identify_robot(arm.robot, fit, validate=held)
+    light = [k for k, mass in enumerate(found.phi[::10]) if mass < arm.robot.phi[10 * k] / 5][:-1]
+    note = publication(found).note
+    assert light
+    assert all(f"{arm.robot.links[k]} has " in note for k in light)
+    assert "not tell alone; excite more" in note
+    assert publication(found, force=True).published
+    # of links of which nothing is said none is too far off
+    bare = replace(found, given=arm.robot.with_parameters(np.tile(arm.robot.phi[:10], 6)))
+    assert not of_bodies(bare)
+
+
 def test_a_hold_out_that_was_fitted_is_refused(planar: Robot, exact: Exact, seen: slice) -> None:
     """A copy with other times, a part, or one that leaves rows out, of either."""
     run = exact(planar, TIME)
