@@ -64,9 +64,6 @@ def test_friction_beyond_the_effort_limit_forbids_it_and_so_does_no_judgement(es
     assert "nothing judges the model" in unjudged.why
 
 
-@pytest.mark.parametrize(
-    "seen", [slice(None), slice(300, 700), slice(900, None), slice(1, None, 3)]
-)
 def test_masses_that_no_description_misses_so_far_forbid_it(data_folder: Path) -> None:
     """Six short motions of a real arm show springs that it has not, and weightless links."""
     arm = load_dataset(data_folder / "lwa4p")
@@ -83,6 +80,9 @@ def test_masses_that_no_description_misses_so_far_forbid_it(data_folder: Path) -
     assert not of_bodies(bare)
 
 
+@pytest.mark.parametrize(
+    "seen", [slice(None), slice(300, 700), slice(900, None), slice(1, None, 3)]
+)
 def test_a_hold_out_that_was_fitted_is_refused(planar: Robot, exact: Exact, seen: slice) -> None:
     """A copy with other times, a part, or one that leaves rows out, of either."""
     run = exact(planar, TIME)
