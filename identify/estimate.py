@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import scipy
 
 from excitant.exceptions import UnknownName
 from excitant.identify import tables
@@ -18,11 +19,11 @@ from excitant.identify.accuracy import (
     prediction_interval,
     series,
 )
-from excitant.identify.drive_gains import DriveGains
+from excitant.identify.drive_gains import BODY_STD, DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated, spoiled
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
-from excitant.identify.physical import PhysicalFit, fit_physical
+from excitant.identify.physical import AGREEMENT, PhysicalFit, fit_physical
 from excitant.identify.poses import (
     SHOWN,
     kept,
@@ -31,7 +32,11 @@ from excitant.identify.poses import (
     scatter,
 )
 from excitant.identify.preprocessing import Mask, Segment, prepare
-from excitant.identify.prior import prior_parameters
+from excitant.identify.prior import (
+    BodyPrior,
+    placeholder_links,
+    prior_parameters,
+)
 from excitant.identify.recording import (
     Recording,
     Recordings,
@@ -395,13 +400,9 @@ def identify_robot(
         fit = _with_bias(rows, fit, noise)
     if name != "wls":
         z = R[:, rows.base.columns] @ fit.beta
-    physical = fit_physical(
-        R, z, prior, rows.open_prior, knowledge=known, links=robot.links
-    )
+    physical, near = _bodies(R, z, prior, rows, known)
     if name != "irls":  # gross errors hide what else is in them
-        fit, physical, told = allowing_for_springs(
-            rows, fit, physical, noise, known
-        )
+        fit, physical, told = allowing_for_springs(rows, fit, physical, noise, near)
         remarks += told
     if shapes is not None and shapes.better:
         fit, physical = widened(fit, physical, rows.base, shapes.spread)
@@ -422,6 +423,33 @@ def identify_robot(
         reversals=turns,
         differences=tuple(differences(estimate.model, rows, fit)),
     )
+
+
+def _bodies(
+    R: Array, z: Array, prior: Array, rows: FitRows, known: Knowledge
+) -> tuple[PhysicalFit, Knowledge]:
+    """The physically consistent fit, and what it takes for known.
+
+    Descriptions tell masses better than shapes, torque tells them worse: they are near the given
+    ones where that leaves more of the torque by chance alone. The last link may carry any tool.
+    """
+    robot = rows.robot
+
+    def fitted_with(bodies: Array | BodyPrior, knowledge: Knowledge) -> PhysicalFit:
+        effects = rows.open_prior
+        return fit_physical(R, z, bodies, effects, knowledge, robot.links)
+
+    free = fitted_with(prior, known)
+    told = ~placeholder_links(robot)
+    told[-1] = False
+    masses = dict(zip(np.array(robot.links)[told], prior[told, 0], strict=True))
+    if not masses:
+        return free, known
+    near = known.near(masses, BODY_STD)
+    tied = fitted_with(free.prior, near)
+    left, least = (float(((R @ fit.x - z) ** 2).sum()) for fit in (tied, free))
+    chance = float(scipy.special.chdtri(len(masses), AGREEMENT.false_alarm))
+    return (tied, near) if left - least < chance else (free, known)
 
 
 def _motion_rows(

@@ -85,6 +85,16 @@ class Knowledge:
         }
         return replace(self, regions=regions)
 
+    def near(self, masses: Mapping[str, float], std: float) -> Knowledge:
+        """The same, with masses of links, where it tells none, known to a relative std."""
+        links = dict(self.links)
+        for name, mass in masses.items():
+            own = links.get(name, LinkKnowledge())
+            if own.mass is None:
+                known = Quantity(mass, std * mass)
+                links[name] = LinkKnowledge(known, own.com_box)
+        return replace(self, links=links)
+
     @property
     def masses(self) -> dict[str, Quantity]:
         """Known masses by what they are of, links by ``mass of NAME``."""
