@@ -431,7 +431,7 @@ def _bodies(
     """The physically consistent fit, and what it takes for known.
 
     Descriptions tell masses better than shapes, torque tells them worse: they are near the given
-    ones where that leaves more of the torque by chance alone. The last link may carry any tool.
+    ones where these, and the torque then left, are off by chance. The last link may carry any tool.
     """
     robot = rows.robot
 
@@ -442,14 +442,16 @@ def _bodies(
     free = fitted_with(prior, known)
     told = ~placeholder_links(robot)
     told[-1] = False
-    masses = dict(zip(np.array(robot.links)[told], prior[told, 0], strict=True))
-    if not masses:
+    given = prior[told, 0]
+    if not len(given):
         return free, known
-    near = known.near(masses, BODY_STD)
+    links = np.array(robot.links)[told].tolist()
+    near = known.near(dict(zip(links, given.tolist(), strict=True)), BODY_STD)
     tied = fitted_with(free.prior, near)
     left, least = (float(((R @ fit.x - z) ** 2).sum()) for fit in (tied, free))
-    chance = float(scipy.special.chdtri(len(masses), AGREEMENT.false_alarm))
-    return (tied, near) if left - least < chance else (free, known)
+    off = (tied.x[: 10 * robot.nv : 10][told] / given - 1) / BODY_STD
+    chance = float(scipy.special.chdtri(len(given), AGREEMENT.false_alarm))
+    return (tied, near) if left - least + off @ off < chance else (free, known)
 
 
 def _motion_rows(

@@ -275,6 +275,28 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
             "decided_by": by,
         }
         entries.append(entry)
+    return entries + _of_springs(estimate)
+
+
+def _of_springs(estimate: Estimate) -> list[dict[str, Any]]:
+    """Springs that the model has beside the estimated effects: bodies may share their torque."""
+    robot = estimate.given
+    springs = estimate.physical.springs
+    units = units_of(robot, springs, estimate.drive)[robot.phi.size :]
+    names = [p.name for spring in springs for p in spring.parameters(robot)]
+    values = [value for spring in springs for value in spring.values or ()]
+    entries = []
+    for name, value, (factor, unit) in zip(names, values, units, strict=True):
+        entry = {
+            "name": name,
+            "link": name.rpartition(".")[0],
+            "value": factor * value,
+            "unit": unit,
+            "category": "combined",
+            "prior_dominated": False,
+            "decided_by": "both",
+        }
+        entries.append(entry | dict.fromkeys(("std", "given", "prior")))
     return entries
 
 

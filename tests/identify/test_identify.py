@@ -56,7 +56,8 @@ def test_the_model_is_one_that_bodies_can_have_and_the_result_complete(ideal: Es
         least = np.array([p.lower for p in effect.parameters(ideal.given)])
         assert (np.array(effect.values) >= least - 1e-6).all(), effect.name
     result, arrays = ideal.result(), ideal.series()
-    assert len(result["parameters"]) == 14 * ideal.given.nv
+    springs = [k for spring in ideal.physical.springs for k in spring.values]
+    assert len(result["parameters"]) == 14 * ideal.given.nv + len(springs)
     assert result["physical"]["consistent"]
     unknown = [p for p in result["parameters"] if p["category"] == "unidentifiable"]
     assert {p["prior_dominated"] for p in unknown} == {True}
