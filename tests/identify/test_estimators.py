@@ -14,7 +14,9 @@ from known_arms import HARMONICS, Z95, Call, recorded, rows_of, smooth_motion, w
 from excitant.exceptions import BadInput, RankDeficient
 from excitant.identify import Recording, Regression, identify_robot
 from excitant.identify.attenuation import every_second, without_noise
+from excitant.identify.drive_gains import BODY_STD
 from excitant.identify.estimators import ESTIMATORS, Smoothing, irls, iv, smoothed_regression
+from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import (
     LeastSquares,
     autocorrelation_time,
@@ -257,7 +259,9 @@ def test_the_default_identifies_as_by_hand(planar: Robot) -> None:
     rows = fit_rows(planar, effects, found.base, split([NOISY]))
     fit = weighted_least_squares(rows.reduced)
     R, z = rows.regression.factor(fit.weight)
-    physical = fit_physical(R, z, prior_parameters(planar), rows.open_prior)
+    near = Knowledge().near({planar.links[0]: planar.phi[0]}, BODY_STD)
+    bodies = prior_parameters(planar)
+    physical = fit_physical(R, z, bodies, rows.open_prior, near, planar.links)
     np.testing.assert_allclose(found.physical.x, physical.x, rtol=0, atol=1e-10)
     # and the bias that noise of these positions makes
     np.testing.assert_allclose(found.least_squares.std, fit.std, rtol=0.01)
