@@ -502,9 +502,9 @@ def _extended(
             fit = complete
     # causes that predict worse than bodies and usual effects as free as in identify are none
     usual = [c for c in first.evidence.candidates if c.effect.search.standard]
-    plain = confirmed(first.by_data(usual), usual)
-    if holdout.worse(fit.predicted, plain.predicted, CONFIRMATION.floor):
-        fit = plain
+    free = first.by_data(usual)
+    if holdout.worse(fit.predicted, free(usual).predicted, CONFIRMATION.floor):
+        fit = confirmed(free, usual)
     fit = fit.settled()
     if holdout.worse(fit.predicted, holdout.mounted):
         fit = unextended(fit.evidence, holdout)
