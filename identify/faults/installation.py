@@ -989,7 +989,7 @@ def _of_limits(fit: TorqueFit) -> Iterator[Installation]:
     if fit.log.unit != "N·m" or fit.unscaled or not np.isfinite(limit).all():
         return
     # a load makes the torque of bodies, however large
-    if (fit.left() < SEARCH.explained).all():
+    if (fit.left < SEARCH.explained).all():
         return
     for whole, name in ((100.0, "per cent"), (1000.0, "per mille")):
         if not _is_unit(fit, whole / limit[fit.joints]):
@@ -1022,7 +1022,7 @@ def _scales(fit: TorqueFit) -> Iterator[Installation]:
     clear = std < SEARCH.clear_scale
     some = np.flatnonzero(far & clear)
     # a load makes the torque of bodies, however large
-    if (gains[some] > 1).all() and (fit.left()[some] < SEARCH.explained).all():
+    if (gains[some] > 1).all() and (fit.left[some] < SEARCH.explained).all():
         return
     joints = np.array(fit.joints)
     # joints whose torque tells no factor have one as well

@@ -338,6 +338,7 @@ class TorqueFit:
         log_normal = np.log(gain) ** 2 / (by_bodies + by_noise / gain**2)
         return float((log_normal - normal).max(initial=0.0))
 
+    @cached_property
     def left(self) -> Array:
         """Share of each torque that bodies near the nominal ones, one another, leave, rms, (k,)."""
         weight = self.weight(0.0, self.rows)
