@@ -43,8 +43,10 @@ class Still:
         wander: over no more than this [rad or m], as far as a servo lets a joint go that it holds
             (real arms: 0 to 0.6 mrad), which changes the gravity of what it carries by 0.3 % of it:
             less than models are known to. Recordings in which it stands agree to this.
-        speed_stds: Where speeds are recorded, their mean size is within so many standard deviations
-            of their noise of what `Rest` lets a joint creep: else the positions are a dead channel.
+        speed_stds: Where speeds are recorded, they leave their median, in the mean, by no more than
+            so many standard deviations of their noise beyond what `Rest` lets a joint creep. The
+            median is slower than a joint that moves: half a step of a coarse register, say. Else
+            the positions are a dead channel.
     """
 
     noise_stds: float = 10.0
@@ -123,7 +125,10 @@ def standing(recording: Recording) -> Mask:
 def _stands(q: Array, dq: Array) -> bool:
     creep = REST.creep_share * REST.free_speed
     creep += STILL.speed_stds * noise(dq)
-    return bool(np.ptp(q) <= _span(q) and np.abs(dq).mean() <= creep)
+    offset = np.median(dq)
+    if abs(offset) > REST.moving_share * REST.free_speed:
+        return False
+    return bool(np.ptp(q) <= _span(q) and np.abs(dq - offset).mean() <= creep)
 
 
 def _span(q: Array) -> float:

@@ -129,6 +129,8 @@ def test_it_is_not_held_in_two_places_nor_where_its_channel_is_dead(save: Save) 
     assert parked.robot.joints == NAMES
     assert "joint3 stands at 0.4 rad in table 1, at -0.2 rad in table 2" in parked.notes[0]
     assert as_recorded("arm.urdf", moving.assign(q3=0.4))[0].robot.joints == NAMES
+    coarse = two.assign(dq3=-0.007)  # half a step of a register that has no zero
+    assert as_recorded("arm.urdf", coarse)[0].robot.joints == NAMES[:2]
     parked, [run], [] = as_recorded("arm.urdf", one.assign(tau3=0.0))
     assert (parked.robot.joints, run.nv) == (NAMES[:2], 2)
 
