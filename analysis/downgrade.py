@@ -27,11 +27,10 @@ def reason_to_downgrade(
     if finding.by_chance(VERDICT.chance):
         return "its values are the given ones within their uncertainty"
     # a payload has mass
-    if effect.role == "link" and len(effect.joints) == 1:
-        if finding.is_open:
-            return "the sign of its mass is not known to two standard deviations"
-        if _loses_mass(robot, effect):
-            return "it would leave less than half of the given mass"
+    if effect.role == "link" and len(effect.joints) == 1 and finding.is_open:
+        return "the sign of its mass is not known to two standard deviations"
+    if effect.role == "link" and (link := _losing_mass(robot, effect)):
+        return f"it would leave {link} less than half of its given mass"
     if finding.is_vague:
         return "its size is less than its standard deviation"
     if _like_wrong_masses(robot, finding, findings, body_std):
@@ -56,12 +55,14 @@ def reason_to_downgrade(
     return next(filter(None, (_confused(finding, other) for other in others)), "")
 
 
-def _loses_mass(robot: Robot, effect: Effect) -> bool:
-    """Whether a link inside the arm, where no tool can be missing, has lost most of its mass."""
-    link = robot.joint_index(effect.joints[0])
-    lost = -(effect.values or (0.0,))[0]
-    most = VERDICT.lost_mass * robot.phi[10 * link]
-    return bool(link < robot.nv - 1 and lost > most)
+def _losing_mass(robot: Robot, effect: Effect) -> str:
+    """A link inside the arm, where no tool can be missing, that loses most of its mass; or ""."""
+    added = (effect.values or ())[::10]
+    for row, mass in zip(effect.rows(robot), added, strict=True):
+        most = VERDICT.lost_mass * robot.phi[10 * row]
+        if row < robot.nv - 1 and -mass > most:
+            return robot.links[row]
+    return ""
 
 
 def _like_wrong_masses(

@@ -29,6 +29,7 @@ from excitant.reports.run import as_saved
 from excitant.results import record_of
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.effects import EFFECTS, RotorInertia, TorqueGain
+from excitant.robots.effects.body import GivenInertias
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors
 
 PAN, LIFT, ELBOW = "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"
@@ -342,14 +343,19 @@ def test_a_link_may_be_lighter_than_given_a_payload_not_than_nothing(kind: str, 
 
 
 @pytest.mark.parametrize(
-    ("joint", "left", "said"),
-    [("joint1", 0.6, ""), ("joint1", 0.4, "half of the given mass"), ("joint2", 0.4, "")],
+    ("joints", "left", "said"),
+    [
+        (["joint1"], 0.6, ""),
+        (["joint1"], 0.4, "half of its given mass"),
+        (["joint2"], 0.4, ""),
+        (["joint1", "joint2"], 0.4, "half of its given mass"),
+    ],
 )
-def test_no_link_but_that_of_the_tool_loses_half_of_its_mass(joint, left, said) -> None:
-    body = cause("inertial_parameters", joint=joint)
+def test_no_link_but_that_of_the_tool_loses_half_of_its_mass(joints, left, said) -> None:
+    body = cause("inertial_parameters")
     robot = load_robot("planar_2r")
-    link = robot.phi.reshape(-1, 10)[robot.joint_index(joint)]
-    vars(body)["effect"] = body.effect.with_values((left - 1) * link)
+    links = robot.phi.reshape(-1, 10)[[robot.joint_index(joint) for joint in joints]]
+    vars(body)["effect"] = GivenInertias(tuple(joints)).with_values((left - 1) * links.ravel())
     reason = reason_among(body)
     assert said in reason
     assert bool(said) == bool(reason)
