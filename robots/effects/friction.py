@@ -465,7 +465,10 @@ class ThermalFrictionDrift(_Friction, JointwiseEffect):
     """τ = e^{−(t − t_0)/T} (F_v q̇ + F_c sign q̇): what friction loses while the joint warms up."""
 
     name = "thermal_friction_drift"
-    terms = (Parameter("Fv_cold", "N·m·s/rad"), Parameter("Fc_cold", "N·m"))
+    terms = (
+        Parameter("Fv_cold", "N·m·s/rad", 0.0),
+        Parameter("Fc_cold", "N·m", 0.0),
+    )
     physics = Physics("motion")
     search = Search(
         shapes=(Shape("time", "s", most=lambda facts: facts.duration),),
