@@ -33,10 +33,11 @@ def load(path: str, size: int) -> bytes:
     """Variables of a file, pickled; ValueError where they are not as long as they claim to be."""
     import scipy.io
 
-    variables = [
-        (name, math.prod(shape), kind)
-        for name, shape, kind in scipy.io.whosmat(path)
-    ]
+    try:
+        headers = scipy.io.whosmat(path)
+    except TypeError:  # SciPy reads objects of MATLAB's, but not their headers
+        headers = []
+    variables = [(name, math.prod(shape), kind) for name, shape, kind in headers]
     refuse_size(sum(count * _BYTES.get(kind, 0) for _, count, kind in variables))
     for name, count, kind in variables:
         if kind in _BYTES and count > size:

@@ -8,6 +8,7 @@ import gzip
 import importlib
 import json
 import re
+import struct
 from collections.abc import Callable, Sequence
 from itertools import product
 from pathlib import Path
@@ -596,6 +597,22 @@ def test_npz_and_mat_hold_the_same_recording_or_are_refused(load: Call, tmp_path
     for start in (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n"):
         (tmp_path / "a.mat").write_bytes(start + bytes(100))
         refused("save it with save", load, tmp_path / "a.mat", error=BadRecording)
+
+
+def test_a_mat_file_may_hold_an_object_of_matlab(load: Call, tmp_path: Path) -> None:
+    """As ``begun = datetime`` beside the arrays, of which SciPy does not read the header."""
+
+    def element(kind: int, content: bytes) -> bytes:
+        return struct.pack("<II", kind, len(content)) + content + bytes(-len(content) % 8)
+
+    names = b"".join(element(1, name) for name in (b"begun", b"MCOS", b"datetime"))
+    size = element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 6, 1))
+    handle = element(14, size + element(1, b"") + element(6, struct.pack("<6I", *[1] * 6)))
+    found = element(14, element(6, struct.pack("<II", 17, 0)) + names + handle)
+    scipy.io.savemat(tmp_path / "a.mat", {"t": T, "q": Q, "dq": DQ, "tau": TAU})
+    with open(tmp_path / "a.mat", "ab") as file:
+        file.write(found)
+    same(load(tmp_path / "a.mat"))
 
 
 def test_a_mat_file_that_ends_its_reader_is_damaged(load, tmp_path, monkeypatch):
