@@ -174,6 +174,8 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> Entry:
     }
     named = all(f.verdict == "named" for f in group) or (several and not rivals)
     reasons = dict.fromkeys(f.downgrade for f in group if f.downgrade)
+    torque = np.sum([f.torque for f in group], axis=0)
+    rms = diagnosis.holdout.series.rms(torque).tolist()
     entry: Entry = {
         "effect": "friction" if several else kinds[0],
         "joints": list(
@@ -184,6 +186,7 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> Entry:
         "sizes": [s.entry() for f in group for s in sizes(f, diagnosis)],
         # causes may make up for one another
         "explained": min(explained, 1.0),
+        "by_joint": dict(zip(diagnosis.robot.joints, rms, strict=True)),
         "holdout": {"rms_before": before, "rms_after": after},
         "unit": diagnosis.unit(group[0].joint),
         "verdict": "named" if named else "undecided",
@@ -246,6 +249,7 @@ def _unknown(diagnosis: Diagnosis, residuals: Sequence[Residual]) -> Entry:
         "sentence": unexplained(residuals, diagnosis),
         "parameters": [],
         "explained": 0.0,
+        "by_joint": {residual.joint: residual.structured for residual in residuals},
         "share": sum(share_of(diagnosis, residual) for residual in residuals),
         "holdout": {"rms_before": rms, "rms_after": rms},
         "unit": diagnosis.unit(joint),

@@ -93,18 +93,20 @@ def _joints(result: Go | Demo) -> p.Table | None:
 
 
 def _cause_at(joint: str, findings: Sequence[Finding]) -> str:
-    for finding in findings:
-        if joint in finding.joints:
-            kinds = [part for part in finding.parts if joint in part.joints]
-            kinds = kinds or [finding]
-            named = [kind for kind in kinds if kind.verdict == "named"]
-            names = dict.fromkeys(v.plain(kind.effect) for kind in named or kinds)
-            undecided = " (undecided)" * (
-                not named and finding.verdict != "unknown"
-            )
-            more = " and more" * (len(names) > 2)
-            return v.listing([*names][:2]) + more + undecided
-    return NONE
+    """The cause that makes most of the torque at a joint, wherever it sits."""
+
+    def torque(finding: Finding) -> float:
+        return finding.by_joint.get(joint) or 0.0
+
+    finding = max(findings, key=torque, default=None)
+    if finding is None or not torque(finding):
+        return NONE
+    kinds = [part for part in finding.parts if joint in part.joints] or [finding]
+    named = [kind for kind in kinds if kind.verdict == "named"]
+    names = dict.fromkeys(v.plain(kind.effect) for kind in named or kinds)
+    undecided = " (undecided)" * (not named and finding.verdict != "unknown")
+    more = " and more" * (len(names) > 2)
+    return v.listing([*names][:2]) + more + undecided
 
 
 def _brief(

@@ -1105,6 +1105,8 @@ class Part(Record, kw_only=True):
     "Coefficients."
     explained: Number
     "Share of the nominal model's squared error that it removes, at most all of it."
+    by_joint: dict[str, Number] = {}
+    "Rms of its torque on the hold-out at each joint; of ``unknown``, of what is left there."
     holdout: RmsChange
     "Error on the hold-out without it and with it."
     unit: str

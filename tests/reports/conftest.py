@@ -269,7 +269,7 @@ def _findings() -> list[Any]:
     speed = {"name": "elbow_joint.stribeck_velocity", "value": 0.0712, "std": None, "unit": "rad/s"}
     stribeck = {"effect": "stribeck_friction", "joints": ["elbow_joint"], "verdict": "named"}
     stribeck |= {"parameters": [level, speed], "explained": 0.731}
-    stribeck |= {"holdout": {"rms_before": 4.62, "rms_after": 1.31}}
+    stribeck |= {"holdout": {"rms_before": 4.62, "rms_after": 1.31}, "by_joint": {JOINTS[1]: 4.43}}
     label = "distance since the last reversal, signed by direction [rad]"
     stribeck |= {"figure": {"x_label": label, "joint": "elbow_joint"}}
     move = "Move wrist_roll_joint through ±1.5 rad at 0.2 rad/s with the forearm level."

@@ -98,7 +98,9 @@ def test_the_cause_at_a_joint_is_doubted_by_its_kinds() -> None:
     plain = SimpleNamespace(effect="coulomb_friction", joints="ab", verdict="named")
     finer = SimpleNamespace(effect="asymmetric_friction", joints="bc", verdict="undecided")
     parts = [plain, finer]
-    whole = SimpleNamespace(effect="friction", joints="abc", verdict="named", parts=parts)
-    causes = [_cause_at(joint, [whole]) for joint in "abc"]
-    doubted = "asymmetric friction (undecided)"
-    assert causes == ["Coulomb friction", "Coulomb friction", doubted]
+    made = {"a": 3.0, "b": 1.0, "c": 1.0}
+    whole = SimpleNamespace(effect="friction", verdict="named", parts=parts, by_joint=made)
+    felt = {"a": 2.0, "b": 2.0}  # by joints other than its own, too
+    load = SimpleNamespace(effect="payload", verdict="named", parts=[], by_joint=felt)
+    causes = [_cause_at(joint, [whole, load]) for joint in "abcd"]
+    assert causes == ["Coulomb friction", "payload", "asymmetric friction (undecided)", "–"]
