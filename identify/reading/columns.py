@@ -283,8 +283,13 @@ class _Search:
             raise BadInput(f"{mapping.source}: {why}")
         self.prefix = None if mapped else mapping.torque
         self.mapped_torque = mapped
-        self.meanings = [
+        understood = [
             m for m in map(self._meaning, table.names) if m.role and not m.commanded
+        ]
+        # what is fed back beside a measurement is a term of the controller
+        measured = {m.role for m in understood if m.measured and not m.fed_back}
+        self.meanings = [
+            m for m in understood if not (m.fed_back and m.role in measured)
         ]
 
     @cached_property

@@ -35,7 +35,8 @@ PARTS_OF_TIME = _by_word(
 """Words of the whole seconds, and of the nanoseconds, of a stamp in two columns."""
 _QUALIFIERS = _by_word(
     {
-        "measured": "actual act measured meas msr real feedback fb present ist istwert",
+        "measured": "actual act measured meas msr real present ist istwert",
+        "fed back": "feedback fb",
         "commanded": "target targets desired des commanded command cmd ref reference setpoint set "
         "goal planned model predicted pred estimated est simulated sim soll sollwert",
         "neutral": "joint joints jnt j a axis axes achse gelenk actuator actuators state states "
@@ -71,6 +72,7 @@ class Meaning:
         words: Words that may change the meaning.
         unit: Unit, as `excitant.identify.reading.units` names it.
         measured: Whether a word says so.
+        fed_back: Whether that word may also name a term of a controller.
         commanded: Whether a word says that it is commanded or computed.
     """
 
@@ -81,6 +83,7 @@ class Meaning:
     words: tuple[str, ...] = ()
     unit: str | None = None
     measured: bool = False
+    fed_back: bool = False
     commanded: bool = False
 
 
@@ -108,9 +111,12 @@ def meaning(column: str, joints: Sequence[str] = ()) -> Meaning:
             role = "i"
         else:
             odd.append(unit)
-    measured = present or "measured" in qualifiers
+    fed_back = "fed back" in qualifiers
+    measured = present or fed_back or "measured" in qualifiers
     commanded = "commanded" in qualifiers
-    return Meaning(column, role, joint, term, tuple(odd), unit, measured, commanded)
+    return Meaning(
+        column, role, joint, term, tuple(odd), unit, measured, fed_back, commanded
+    )
 
 
 def _split(column: str) -> tuple[list[str], str | None]:

@@ -144,6 +144,13 @@ def test_what_was_commanded_is_never_taken_for_measured(form: str, load: Call) -
             load(both.drop(columns=[f"{missing}{k}" for k in range(6)]))
 
 
+def test_what_a_controller_feeds_back_is_no_rival_of_a_measurement(load: Call) -> None:
+    log = table("time", "q_{}", "dq_{}", "tau_measured_{}")
+    term = log.filter(like="tau").rename(columns=lambda c: c.replace("measured", "feedback"))
+    same(load(pd.concat([log, term / 3], axis=1)))
+    same(load(log.rename(columns=lambda c: c.replace("measured", "feedback"))))
+
+
 @pytest.mark.parametrize("extra", ["angle_{}", "actual_pos_{}", None])
 def test_an_ambiguous_guess_is_refused_with_a_map_that_settles_it(extra: Any, load: Call) -> None:
     """Two sets of positions, or a torque of another kind."""
