@@ -10,6 +10,7 @@ The pseudo-inertia (Wensing, Kim, Slotine 2018) of a body is
 and a body of positive mass density exists for the parameters exactly when P ≻ 0.
 """
 
+import csv
 import io
 from dataclasses import dataclass
 from pathlib import Path
@@ -190,11 +191,13 @@ class BaseEstimate:
 
     def csv(self) -> str:
         """A line for each: name, value and its row of the covariance, every digit kept."""
-        import pandas as pd
-
-        numbers = np.column_stack([self.value, self.covariance])
-        rows = pd.Index(self.names, name="parameter")
-        return pd.DataFrame(numbers, rows, ["value", *self.names]).to_csv()
+        text = io.StringIO()
+        table = csv.writer(text, lineterminator="\n")
+        table.writerow(["parameter", "value", *self.names])
+        numbers = np.column_stack([self.value, self.covariance]).tolist()
+        for name, row in zip(self.names, numbers, strict=True):
+            table.writerow([name, *row])
+        return text.getvalue()
 
 
 def base_estimate_from_csv(text: str, path: Path) -> BaseEstimate:
