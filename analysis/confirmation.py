@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -309,11 +308,6 @@ class Extension:
             else:
                 fit = without
         return fit
-
-    @cached_property
-    def values(self) -> dict[str, float]:
-        """Coefficients of the model's own effects by name."""
-        return effect_values(self.model)
 
     def places(self, effect: Effect) -> list[int]:
         """Places of an effect's coefficients among the parameters, none of those of links."""
@@ -637,7 +631,7 @@ def _refitted(fit: Extension, holdout: Holdout, effect: Effect) -> Finding:
     """The change of an effect's values, or of links, from the nominal ones."""
     robot = holdout.robot
     if effect.physics.amends:
-        force = fit.values[effect.parameters(robot)[0].name]
+        force = effect_values(fit.model)[effect.parameters(robot)[0].name]
         torque = fit.observed.columns(effect) @ np.array([force]) / holdout.gains
         law, none = effect.with_values(()), np.zeros((0, 0))
         return finding_of(fit, holdout, law, torque, (), none)
