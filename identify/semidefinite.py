@@ -279,9 +279,12 @@ def interior(program: Program, centre: Array) -> Array:
     """
     p = len(centre)
     restrictions = program.restrictions
+    bounds = together(restrictions, "nonnegative", p)
+    # the nearest where each bounds one coordinate
+    missing = np.maximum(PATH.margins[0] - bounds.slack(centre), 0.0)
     for margin in (0.0, *PATH.margins):
         bodies = possible(program.bodies, p, margin)
-        near: Array | None = centre
+        near: Array | None = centre + bounds.G.T @ missing
         if margin:
             narrowed = [
                 replace(r, h=r.h + margin * (r.cone != "zero"))
