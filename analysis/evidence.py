@@ -18,8 +18,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -67,6 +67,32 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
+class SetFit:
+    """Fit of the active columns of a set of causes.
+
+    Attributes:
+        problem: For the residual of the given model.
+        active: Active columns.
+        root: L of L Lᵀ, their information.
+        coordinates: Of all columns, zero where inactive, shape (p,).
+    """
+
+    problem: Regression
+    active: Index
+    root: Array
+    coordinates: Array
+
+    @cached_property
+    def residual(self) -> Array:
+        """Residual beside the set, shape (n, nv) [N·m]."""
+        return frozen(self.problem.residual(self.coordinates))
+
+    def solved(self, right: Array) -> Array:
+        """Solution of the normal equations for a right-hand side, (active, ...)."""
+        return _by_root(self.root, right)
+
+
+@dataclass(frozen=True, eq=False)
 class Evidence:
     """Weighted columns of all candidates, after those of the nuisance, which are always active."""
 
@@ -86,6 +112,10 @@ class Evidence:
     gains: range = range(0)
     # of given bodies and effects, relative to ±10 %
     tolerance: tuple[float, float] = (1.0, 1.0)
+    # of the sets asked for last
+    _fits: dict[tuple[Candidate, ...], SetFit] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     @property
     def weight(self) -> Array:
@@ -105,7 +135,9 @@ class Evidence:
     @cached_property
     def information(self) -> Array:
         """Xᵀ Λ X with the prior precision, shape (p, p)."""
-        return frozen(self.gram + np.diag(self.precision))
+        information = self.gram.copy()
+        information.flat[:: len(information) + 1] += self.precision
+        return frozen(information)
 
     @property
     def moment(self) -> Array:
@@ -122,17 +154,30 @@ class Evidence:
         """rᵀ Λ r."""
         return float(self.products[-1, -1])
 
+    def fit(self, chosen: Sequence[Candidate]) -> SetFit:
+        """Fit of a set of causes, kept while few others are asked for."""
+        key = tuple(chosen)
+        fit = self._fits.pop(key, None)
+        if fit is None:
+            active = self.active(key)
+            root = _root(self.information[np.ix_(active, active)])
+            coordinates = np.zeros(len(self.moment))
+            coordinates[active] = _by_root(root, self.moment[active])
+            fit = SetFit(self.problem, active, root, frozen(coordinates))
+        self._fits[key] = fit
+        # a set, it with one cause more and with one less, and none
+        for oldest in list(self._fits)[:-4]:
+            del self._fits[oldest]
+        return fit
+
     def coordinates(self, chosen: Sequence[Candidate]) -> Array:
         """Coordinates of all columns with a set of causes, zero where inactive, shape (p,)."""
-        active = self.active(chosen)
-        coordinates = np.zeros(len(self.moment))
-        coordinates[active] = self.solved(active, self.moment[active])
-        return coordinates
+        return self.fit(chosen).coordinates
 
     def covariance(self, chosen: Sequence[Candidate]) -> Array:
         """Covariance of the active coordinates, shape (active, active)."""
-        active = self.active(chosen)
-        return self.solved(active, np.eye(len(active)))
+        fit = self.fit(chosen)
+        return fit.solved(np.eye(len(fit.active)))
 
     def cost(self, chosen: Sequence[Candidate]) -> float:
         """J of a set of candidates."""
@@ -140,7 +185,7 @@ class Evidence:
 
     def residual(self, chosen: Sequence[Candidate]) -> Array:
         """Residual after a set of causes, shape (n, nv) [N·m]."""
-        return _residual(self, tuple(chosen))
+        return self.fit(chosen).residual
 
     def beside(
         self, chosen: Sequence[Candidate], candidate: Candidate
@@ -149,23 +194,22 @@ class Evidence:
 
         The latter, (k, k), is the inverse of the covariance of the candidate's own coordinates.
         """
-        active = self.active(chosen)
+        fit = self.fit(chosen)
+        active = fit.active
         at = np.arange(candidate.columns.start, candidate.columns.stop)
         cross = self.information[np.ix_(active, at)]
         per_unit = np.zeros((len(self.moment), len(at)))
         per_unit[at] = np.eye(len(at))
-        per_unit[active] = -self.solved(active, cross)
+        per_unit[active] = -fit.solved(cross)
         own = self.information[np.ix_(at, at)] + cross.T @ per_unit[active]
         own[np.diag_indices_from(own)] += _ROUNDING * self.information[at, at]
         return per_unit, own
 
     def additions(self, chosen: Sequence[Candidate]) -> Array:
         """Fall of J by adding each of the candidates to a set, shape (candidates,)."""
-        active = self.active(chosen)
+        fit = self.fit(chosen)
         half = scipy.linalg.solve_triangular(
-            _root(self.information[np.ix_(active, active)]),
-            self.products[active],
-            lower=True,
+            fit.root, self.products[fit.active], lower=True
         )
         half, projected = half[:, :-1], half[:, -1]
         rest = self.moment - half.T @ projected
@@ -247,7 +291,7 @@ class Evidence:
         """Largest |cos| between two candidates' columns, the nuisance projected out."""
         columns = np.r_[one.columns, other.columns]
         cross = self.gram[: self.nuisance, columns]
-        solved = self.solved(self.active(()), cross)
+        solved = self.fit(()).solved(cross)
         G = self.gram[np.ix_(columns, columns)] - cross.T @ solved
         k = one.size
         whiten = [_inverse_root(block) for block in (G[:k, :k], G[k:, k:])]
@@ -265,7 +309,8 @@ class Evidence:
         self, chosen: Sequence[Candidate], cause: Candidate
     ) -> tuple[float, int]:
         """Fall of J when each joint has its own coefficients of a cause, and their extra number."""
-        active = self.active(chosen)
+        fit = self.fit(chosen)
+        active = fit.active
         grams = []
         crosses = []
         moments = []
@@ -283,10 +328,9 @@ class Evidence:
         if len(grams) < 2:
             return 0.0, 0
         cross = np.concatenate(crosses, axis=1)
-        right = np.column_stack([cross, self.moment[active]])
-        solved = self.solved(active, right)
-        remaining = np.concatenate(moments) - cross.T @ solved[:, -1]
-        G = scipy.linalg.block_diag(*grams) - cross.T @ solved[:, :-1]
+        beside = cross.T @ fit.coordinates[active]
+        remaining = np.concatenate(moments) - beside
+        G = scipy.linalg.block_diag(*grams) - cross.T @ fit.solved(cross)
         fall = float(remaining @ np.linalg.lstsq(G, remaining, rcond=1e-9)[0])
         return fall, len(remaining) - len(used)
 
@@ -306,28 +350,26 @@ class Evidence:
             [np.arange(s.start, s.stop, dtype=np.intp) for s in columns]
         )
 
-    def solved(self, active: Index, right: Array) -> Array:
-        """Solution of the normal equations of active columns for a right-hand side."""
-        return _solved(self.information[np.ix_(active, active)], right)
-
-
-@lru_cache(maxsize=2)
-def _residual(evidence: Evidence, chosen: tuple[Candidate, ...]) -> Array:
-    """The residual of `Evidence`, kept for all candidates that are tried beside a set."""
-    return frozen(evidence.problem.residual(evidence.coordinates(chosen)))
-
 
 def _root(A: Array) -> Array:
     """L of L Lᵀ = A, positive but for rounding, each column in its own unit."""
     unit = 1 / np.sqrt(np.diag(A))
     scaled = unit[:, None] * A * unit
-    scaled[np.diag_indices_from(scaled)] += _ROUNDING
+    scaled.flat[:: len(A) + 1] += _ROUNDING
     return np.asarray(np.linalg.cholesky(scaled) / unit[:, None], float)
+
+
+def _by_root(root: Array, right: Array) -> Array:
+    """A⁻¹ times a right-hand side, root that of A."""
+    pair = (root, True)
+    return np.asarray(
+        scipy.linalg.cho_solve(pair, right, check_finite=False), float
+    )
 
 
 def _solved(A: Array, right: Array) -> Array:
     """A⁻¹ times a right-hand side, A as of `_root`."""
-    return np.asarray(scipy.linalg.cho_solve((_root(A), True), right), float)
+    return _by_root(_root(A), right)
 
 
 def _inverse_root(G: Array) -> Array:
@@ -486,7 +528,7 @@ def _typical_deviation(evidence: Evidence, part: Index, robot: Robot) -> float:
     m = evidence.moment[part]
     if len(others):
         beside = evidence.gram[np.ix_(others, part)]
-        cross = evidence.solved(others, beside)
+        cross = _solved(evidence.information[np.ix_(others, others)], beside)
         H = H - beside.T @ cross
         m = m - cross.T @ evidence.moment[others]
     unit = 1 / np.sqrt(evidence.precision[part])

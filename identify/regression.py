@@ -232,16 +232,15 @@ class Regression:
         size = len(columns) + 1
         place = np.full(self.p + 1, -1)
         place[np.append(columns, self.p)] = np.arange(size)
-        total = np.zeros((size, size))
+        total = np.zeros(size * size)
         for w, index, gram in zip(weight, self.index, self.grams, strict=True):
             target = place[np.append(index, self.p)]
             here = np.flatnonzero(target >= 0)
             own = gram if len(here) == len(gram) else gram[np.ix_(here, here)]
-            # whole rows, which is quicker than element by element
-            rows = np.zeros((len(here), size))
-            rows[:, target[here]] = w * own
-            total[target[here]] += rows
-        return total
+            rows = target[here]
+            # by one index each, which is quicker than by two
+            total[rows[:, None] * size + rows] += w * own
+        return total.reshape(size, size)
 
     @cached_property
     def triangles(self) -> tuple[Array, ...]:
