@@ -237,11 +237,14 @@ class _CentralPath:
         # ½ ‖B d − 1‖² is −Σ log of the slacks at y + d to second order
         B = self.bounds.G / self.bounds.slack(y)[:, None]
         scale = np.sqrt(barrier / 2)
-        goal = np.full(len(B), scale)
-        A = np.vstack([self.R, J, scale * B @ self.N])
-        z = np.concatenate([self.Q.T @ (self.t - self.U @ y), -residual, goal])
-        factor = triangle(np.column_stack([A, z]))
         p = len(self.R)
+        # rows of the barriers below a triangle, to be one again
+        above = np.zeros((p + 1, p + 1))
+        above[:p, :p] = self.R
+        above[:p, p] = self.Q.T @ (self.t - self.U @ y)
+        goal = np.append(-residual, np.full(len(B), scale))
+        below = np.column_stack([np.vstack([J, scale * B @ self.N]), goal])
+        factor = scipy.linalg.lapack.dtpqrt(0, 8, above, below)[0]
         free, _ = scipy.linalg.lapack.dtrtrs(factor[:p, :p], factor[:p, p])
         step = self.N @ free
         weight = self.bodies.draws + barrier
