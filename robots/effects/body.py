@@ -29,7 +29,6 @@ from excitant.robots.robot import Robot
 GRAVITY_TOLERANCE = 0.05  # of its size, by which a turned gravity may differ
 STATES = 20  # random ones, of which two thirds tell a torque's size to a quarter
 FAINT = 0.01  # of the torque of a body's change: a mass that makes less is no size of it
-PLACEMENT_STEP = 1e-3  # m: torque is quadratic in a placement, so any step would do
 _BODY = tuple(zip(STANDARD, UNITS, strict=True))
 
 
@@ -58,16 +57,23 @@ class KinematicError(Effect):
     )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
-        """Central differences by the translation; the first joint feels the same everywhere."""
+        return np.stack([self._along(robot, motion, axis) for axis in np.eye(3)], 2)
+
+    def torque(self, robot: Robot, motion: Motion) -> Array:
+        return self._along(robot, motion, np.array(self.coefficients))
+
+    def _along(self, robot: Robot, motion: Motion, shift: Array) -> Array:
+        """Torque by a translation, shape (3,) [m], to first order, shape (n, nv) [N·m].
+
+        A central difference, which is exact: torque is quadratic in a placement. The first joint
+        feels the same everywhere.
+        """
         j = self.rows(robot)[0]
-        columns = np.zeros((*motion.q.shape, 3))
         if robot.model.parents[j + 1] == 0:
-            return columns
-        for k, step in enumerate(PLACEMENT_STEP * np.eye(3)):
-            ahead = rigid_body_torque(_moved(robot, j, step), motion)
-            behind = rigid_body_torque(_moved(robot, j, -step), motion)
-            columns[:, :, k] = (ahead - behind) / (2 * PLACEMENT_STEP)
-        return columns
+            return np.zeros(motion.q.shape)
+        ahead = rigid_body_torque(_moved(robot, j, shift), motion)
+        behind = rigid_body_torque(_moved(robot, j, -shift), motion)
+        return (ahead - behind) / 2
 
 
 def _moved(robot: Robot, j: int, step: Array) -> Robot:
