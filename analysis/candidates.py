@@ -49,10 +49,14 @@ class Observed:
     def by(self, robot: Robot, keep: Set[Effect] = frozenset()) -> Observed:
         """The same rows of the same arm with other inertias and effects.
 
-        Columns of some effects are kept as they are with the present ones.
+        Columns of some effects are kept as they are with the present ones; those of the bodies
+        alone are where the bodies are the same.
         """
+        alike = robot.model is self.robot.model
         kept = {
-            effect: own for effect, own in self._by_robot.items() if effect in keep
+            effect: own
+            for effect, own in self._by_robot.items()
+            if effect in keep or (alike and effect.physics.depends_on == "bodies")
         }
         return replace(self, robot=robot, _by_robot=kept)
 

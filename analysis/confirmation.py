@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -308,6 +308,11 @@ class Extension:
             else:
                 fit = without
         return fit
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Coefficients of the model's own effects by name."""
+        return effect_values(self.model)
 
     def places(self, effect: Effect) -> list[int]:
         """Places of an effect's coefficients among the parameters, none of those of links."""
@@ -631,7 +636,7 @@ def _refitted(fit: Extension, holdout: Holdout, effect: Effect) -> Finding:
     """The change of an effect's values, or of links, from the nominal ones."""
     robot = holdout.robot
     if effect.physics.amends:
-        force = effect_values(fit.model)[effect.parameters(robot)[0].name]
+        force = fit.values[effect.parameters(robot)[0].name]
         torque = fit.observed.columns(effect) @ np.array([force]) / holdout.gains
         law, none = effect.with_values(()), np.zeros((0, 0))
         return finding_of(fit, holdout, law, torque, (), none)
