@@ -205,6 +205,12 @@ class Evidence:
         own[np.diag_indices_from(own)] += _ROUNDING * self.information[at, at]
         return per_unit, own
 
+    def fall(self, chosen: Sequence[Candidate], candidate: Candidate) -> float:
+        """Fall of J by adding a candidate to a set."""
+        per_unit, own = self.beside(chosen, candidate)
+        score = self.moment @ per_unit
+        return float(score @ _solved(own, score))
+
     def additions(self, chosen: Sequence[Candidate]) -> Array:
         """Fall of J by adding each of the candidates to a set, shape (candidates,)."""
         fit = self.fit(chosen)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import scipy
@@ -139,10 +140,10 @@ def _simplest(
     if not special:
         return cause
     beside = [*chosen, *special]
-    fall = evidence.cost(beside) - evidence.cost([*beside, cause])
+    fall = evidence.fall(beside, cause)
     if _significant(evidence, beside, cause, fall):
         return cause
-    return min(special, key=lambda c: evidence.cost([*chosen, c]))
+    return max(special, key=lambda c: evidence.fall(chosen, c))
 
 
 def idle(evidence: Evidence, chosen: Sequence[Candidate]) -> set[Effect]:
@@ -158,7 +159,8 @@ def idle(evidence: Evidence, chosen: Sequence[Candidate]) -> set[Effect]:
     }
 
 
-def _chances(candidates: Sequence[Candidate]) -> Array:
+@lru_cache(maxsize=1)
+def _chances(candidates: tuple[Candidate, ...]) -> Array:
     """Fall of J that the best shape of each reaches by chance where it is absent, (candidates,)."""
     sizes = np.array([c.size for c in candidates])
     trials = np.array([c.trials for c in candidates])
@@ -258,7 +260,7 @@ def _agrees(
     more, freedom = evidence.separate_joints([*rest, cause], cause)
     if not freedom:
         return True
-    explained = evidence.cost(rest) - evidence.cost([*rest, cause])
+    explained = evidence.fall(rest, cause)
     chance = evidence.dispersion(rest, cause) * scipy.special.chdtri(
         freedom, SELECTION.common_chance
     )
@@ -330,7 +332,7 @@ def rivals(
         if fall <= least and not added:
             continue
         instead = [*rest, other, *(c for c in added if c not in (other, cause))]
-        if evidence.cost(instead) - evidence.cost([*instead, cause]) > least:
+        if evidence.fall(instead, cause) > least:
             continue
         deviations = float(in_deviations(evidence.block_errors(instead) - errors))
         cosine = evidence.cosine(cause, other)

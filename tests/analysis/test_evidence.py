@@ -128,6 +128,7 @@ def test_cost_is_the_minimum_that_it_is_defined_as(chosen: tuple[int, ...]) -> N
     for k in set(range(len(SIZES))) - {*chosen}:
         fall = e.cost(picked) - e.cost([*picked, e.candidates[k]])
         assert falls[k] == pytest.approx(fall, rel=1e-6, abs=1e-9 * brute)
+        assert e.fall(picked, e.candidates[k]) == pytest.approx(fall, rel=1e-6, abs=1e-9 * brute)
         assert falls[k] >= 0
     assert e.cost(picked) <= e.power
 
