@@ -642,11 +642,11 @@ def _refined_gains(
         scaled = tau * (gains / drive.gains)
         evidence = gather(robot, train, scaled, prior, gains=before)
         evidence, chosen = select(evidence, robot)
-        factor = 1 + root @ evidence.coordinates(chosen)[evidence.gains]
+        factor = 1 + root @ evidence.fit(chosen).coordinates[evidence.gains]
         gains = gains / np.maximum(factor, SEARCH.least_drive)
         if (factor > SEARCH.close_drive).all():
             break
-    block = evidence.covariance(chosen)[np.ix_(evidence.gains, evidence.gains)]
+    block = evidence.fit(chosen).covariance[np.ix_(evidence.gains, evidence.gains)]
     after = root @ block @ root.T / np.outer(factor, factor)
     # friction may share the scale of the bodies, but not decide it
     scale = SEARCH.own_scale * drive.scale_std**2

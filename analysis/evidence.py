@@ -87,6 +87,11 @@ class SetFit:
         """Residual beside the set, shape (n, nv) [N·m]."""
         return frozen(self.problem.residual(self.coordinates))
 
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the active coordinates, shape (active, active)."""
+        return self.solved(np.eye(len(self.active)))
+
     def solved(self, right: Array) -> Array:
         """Solution of the normal equations for a right-hand side, (active, ...)."""
         return _by_root(self.root, right)
@@ -149,43 +154,27 @@ class Evidence:
         """rᵀ Λ r of each joint, shape (nv,)."""
         return self.weight * np.array([gram[-1, -1] for gram in self.problem.grams])
 
-    @property
-    def power(self) -> float:
-        """rᵀ Λ r."""
-        return float(self.products[-1, -1])
-
     def fit(self, chosen: Sequence[Candidate]) -> SetFit:
         """Fit of a set of causes, kept while few others are asked for."""
         key = tuple(chosen)
-        fit = self._fits.pop(key, None)
-        if fit is None:
-            active = self.active(key)
-            root = _root(self.information[np.ix_(active, active)])
-            coordinates = np.zeros(len(self.moment))
-            coordinates[active] = _by_root(root, self.moment[active])
-            fit = SetFit(self.problem, active, root, frozen(coordinates))
+        fit = self._fits.pop(key, None) or self._fitted(key)
         self._fits[key] = fit
         # a set, it with one cause more and with one less, and none
         for oldest in list(self._fits)[:-4]:
             del self._fits[oldest]
         return fit
 
-    def coordinates(self, chosen: Sequence[Candidate]) -> Array:
-        """Coordinates of all columns with a set of causes, zero where inactive, shape (p,)."""
-        return self.fit(chosen).coordinates
-
-    def covariance(self, chosen: Sequence[Candidate]) -> Array:
-        """Covariance of the active coordinates, shape (active, active)."""
-        fit = self.fit(chosen)
-        return fit.solved(np.eye(len(fit.active)))
+    def _fitted(self, chosen: Sequence[Candidate]) -> SetFit:
+        active = self.active(chosen)
+        root = _root(self.information[np.ix_(active, active)])
+        coordinates = np.zeros(len(self.moment))
+        coordinates[active] = _by_root(root, self.moment[active])
+        return SetFit(self.problem, active, root, frozen(coordinates))
 
     def cost(self, chosen: Sequence[Candidate]) -> float:
         """J of a set of candidates."""
-        return self.power - float(self.moment @ self.coordinates(chosen))
-
-    def residual(self, chosen: Sequence[Candidate]) -> Array:
-        """Residual after a set of causes, shape (n, nv) [N·m]."""
-        return self.fit(chosen).residual
+        explained = self.moment @ self.fit(chosen).coordinates
+        return float(self.products[-1, -1] - explained)
 
     def beside(
         self, chosen: Sequence[Candidate], candidate: Candidate
@@ -236,8 +225,9 @@ class Evidence:
 
         It is xᵀ C⁻¹ x of the candidate's coordinates x and their covariance C.
         """
-        covariance = self.covariance(chosen)
-        coordinates = covariance @ self.moment[self.active(chosen)]
+        fit = self.fit(chosen)
+        covariance = fit.covariance
+        coordinates = fit.coordinates[fit.active]
         rises = []
         start = self.nuisance
         for candidate in chosen:
@@ -280,7 +270,7 @@ class Evidence:
         per_unit, own = self.beside(chosen, candidate)
         S = self.problem.torque(per_unit)
         size = _solved(own, self.moment @ per_unit)
-        e = self.residual(chosen) - S @ size
+        e = self.fit(chosen).residual - S @ size
         weighted = S * self.weight[:, None]
         scores = np.add.reduceat(np.einsum("njk,nj->nk", weighted, e), self.blocks)
         grams = np.add.reduceat(np.einsum("njk,njl->nkl", weighted, S), self.blocks)
@@ -308,7 +298,7 @@ class Evidence:
 
     def block_errors(self, chosen: Sequence[Candidate]) -> Array:
         """Weighted squared error that a set leaves in each block of time, shape (blocks,)."""
-        squares = (self.residual(chosen) ** 2 * self.weight).sum(axis=1)
+        squares = (self.fit(chosen).residual ** 2 * self.weight).sum(axis=1)
         return np.asarray(np.add.reduceat(squares, self.blocks), float)
 
     def separate_joints(

@@ -240,7 +240,7 @@ def _plausible(
         evidence, chosen, candidate
     ):
         return False
-    coordinates = evidence.coordinates(chosen)
+    coordinates = evidence.fit(chosen).coordinates
     if any(_cancelled(evidence, cause, coordinates) for cause in chosen):
         return False
     rest = [c for c in chosen if c is not candidate]

@@ -65,12 +65,9 @@ class KinematicError(Effect):
     def _along(self, robot: Robot, motion: Motion, shift: Array) -> Array:
         """Torque by a translation, shape (3,) [m], to first order, shape (n, nv) [N·m].
 
-        A central difference, which is exact: torque is quadratic in a placement. The first joint
-        feels the same everywhere.
+        A central difference, which is exact: torque is quadratic in a placement.
         """
         j = self.rows(robot)[0]
-        if robot.model.parents[j + 1] == 0:
-            return np.zeros(motion.q.shape)
         ahead = rigid_body_torque(_moved(robot, j, shift), motion)
         behind = rigid_body_torque(_moved(robot, j, -shift), motion)
         return (ahead - behind) / 2

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -268,13 +267,12 @@ def _of_its_size(effect: Effect, values: Array) -> bool:
 @lru_cache(maxsize=8)
 def effect_values(robot: Robot) -> Mapping[str, float]:
     """Coefficients of the robot's own effects by name; those without values are left out."""
-    values = {
+    return {
         p.name: value
         for effect in robot.effects
         if effect.values is not None
         for p, value in zip(effect.parameters(robot), effect.values, strict=True)
     }
-    return MappingProxyType(values)
 
 
 def above(values: Array, lower: Array | float, std: Array) -> bool:

@@ -83,7 +83,7 @@ def test_something_at_work_is_called_for(rho: float) -> None:
         found = e.candidates[int(np.argmax(e.additions([])[:12]))]  # of one coefficient
         assert found is e.candidates[2]
         assert found in called_for(e)
-        coordinates, covariance = e.coordinates([found]), e.covariance([found])
+        coordinates, covariance = e.fit([found]).coordinates, e.fit([found]).covariance
         std = np.sqrt(covariance[-1, -1])
         assert abs(coordinates[found.columns.start] - 0.3) <= 4 * std
 
@@ -116,13 +116,13 @@ def test_cost_is_the_minimum_that_it_is_defined_as(chosen: tuple[int, ...]) -> N
     target = np.concatenate([(r * weight).ravel(), np.zeros(len(active))])
     solution = np.linalg.lstsq(stacked, target, rcond=None)[0]
     brute = float(((stacked @ solution - target) ** 2).sum())
-    coordinates, covariance = e.coordinates(picked), e.covariance(picked)
+    coordinates, covariance = e.fit(picked).coordinates, e.fit(picked).covariance
     assert e.cost(picked) == pytest.approx(brute, rel=1e-8)
     np.testing.assert_allclose(coordinates[active], solution, rtol=1e-6, atol=1e-9)
     expected = np.linalg.inv(stacked.T @ stacked)
     np.testing.assert_allclose(covariance, expected, rtol=1e-6, atol=1e-12)
     left = (r - X[:, :, active] @ solution) * counts
-    np.testing.assert_allclose(e.residual(picked), left, rtol=0, atol=1e-8 * np.abs(r).max())
+    np.testing.assert_allclose(e.fit(picked).residual, left, rtol=0, atol=1e-8 * np.abs(r).max())
     # more causes never explain less, and additions are differences of cost
     falls = e.additions(picked)
     for k in set(range(len(SIZES))) - {*chosen}:
@@ -130,7 +130,7 @@ def test_cost_is_the_minimum_that_it_is_defined_as(chosen: tuple[int, ...]) -> N
         assert falls[k] == pytest.approx(fall, rel=1e-6, abs=1e-9 * brute)
         assert e.fall(picked, e.candidates[k]) == pytest.approx(fall, rel=1e-6, abs=1e-9 * brute)
         assert falls[k] >= 0
-    assert e.cost(picked) <= e.power
+    assert e.cost(picked) <= e.cost([])
 
 
 def test_threshold_asks_more_of_more_coefficients_shapes_and_fewer_blocks() -> None:
