@@ -2,7 +2,8 @@
 
 MJCF is the format of MuJoCo, SDFormat 1.9 that of Gazebo and Drake. Viscous friction is
 ``damping`` there, Coulomb friction ``frictionloss`` or ``friction``, rotor inertia ``armature`` or
-``drake:rotor_inertia``; a torque offset is the bias of a joint's actuator in MJCF. Payloads and
+``drake:rotor_inertia``; a linear spring has its stiffness and reference in both, and a torque
+offset is the bias of a joint's actuator in MJCF. Payloads and
 corrections of inertia are part of the links, and joints that are held are part of what carries
 them.
 """
@@ -149,9 +150,9 @@ def told_in_torque(arm: Robot, known: Mask | None) -> Robot:
     effects = []
     for effect in arm.effects:
         keep = known[effect.rows(arm)]
-        if effect.export.joint_property and not keep.all():
+        if effect.exported.joint_property and not keep.all():
             joints = tuple(np.array(effect.joints)[keep].tolist())
-            values = np.array(effect.values)[keep].tolist()
+            values = np.reshape(effect.values or (), (len(keep), -1))[keep]
             effect = replace(effect, joints=joints, values=None).with_values(values)
         if effect.joints:
             effects.append(effect)
@@ -194,12 +195,13 @@ def lacking(arm: Robot, file_format: str) -> list[str]:
         values = effect.values or ()
         joints = list(effect.joints)
         below = list[str]()
-        if effect.export.joint_property:
+        if effect.exported.joint_property:
             lowest = [p.lower for p in effect.parameters(arm)]
-            rows = list(zip(joints, values, lowest, strict=True))
+            owners = np.repeat(joints, len(effect.own_terms)).tolist()
+            rows = list(zip(owners, values, lowest, strict=True))
             joints = [joint for joint, value, _ in rows if value]
             below = [joint for joint, value, low in rows if value < low]
-        if file_format not in effect.export.formats:
+        if file_format not in effect.exported.formats:
             missing.setdefault(name, []).extend(joints)
         else:
             missing.setdefault(f"negative {name}", []).extend(below)
@@ -224,14 +226,16 @@ def held_by(arm: Robot, file_format: str) -> Robot:
     """
     effects: dict[str, Effect] = {}
     for effect in arm.effects:
-        if file_format not in effect.export.formats:
+        if file_format not in effect.exported.formats:
             continue
         whole = replace(turning(effect, 0.0), joints=arm.joints)
-        values = np.zeros(arm.nv)
-        if before := effects.get(effect.export.joint_property):
-            values += before.values or ()
-        values[effect.rows(arm)] += effect.values or ()
-        effects[effect.export.joint_property] = whole.with_values(values)
+        values = np.zeros((arm.nv, len(effect.own_terms)))
+        if before := effects.get(effect.exported.joint_property):
+            values += np.reshape(before.values or (), values.shape)
+        values[effect.rows(arm)] += np.reshape(
+            effect.values or (), (-1, values.shape[1])
+        )
+        effects[effect.exported.joint_property] = whole.with_values(values)
     lowest = {
         name: [p.lower for p in effect.parameters(arm)]
         for name, effect in effects.items()
@@ -248,8 +252,23 @@ def _drives(held: Robot) -> Mapping[str, Array]:
     """Values of the joint properties that a format holds, each of shape (nv,)."""
     drives = dict.fromkeys(JOINT_PROPERTIES, np.zeros(held.nv))
     return drives | {
-        e.export.joint_property: np.array(e.values) for e in held.effects
+        e.exported.joint_property: np.array(e.values) for e in held.effects
     }
+
+
+def _springs(held: Robot) -> list[tuple[float, float]]:
+    """Stiffness k and rest q_0 of the spring of each joint, τ = k (q − q_0); both 0 of none.
+
+    A moment alone is that of a spring so soft that no position changes it.
+    """
+    none = np.zeros(2 * held.nv)
+    values = np.reshape(_drives(held).get("spring", none), (held.nv, 2))
+    softest = float(np.finfo(float).eps)
+    springs = []
+    for stiffness, moment in values.tolist():
+        k = stiffness or softest * bool(moment)
+        springs.append((k, -moment / k if k else 0.0))
+    return springs
 
 
 def comment(
@@ -263,7 +282,7 @@ def comment(
     own = [
         note
         for effect in (refit or robot).effects
-        if (note := effect.export.formats.get(file_format))
+        if (note := effect.exported.formats.get(file_format))
         and any(effect.values or ())
     ]
     if file_format == "sdf" and not np.allclose(robot.gravity, DEFAULT_GRAVITY):
@@ -344,6 +363,7 @@ def _ros2_control(arm: Robot, remark: str) -> str:
 def _mjcf(arm: Robot, remark: str, gains: Array | None) -> str:
     """MJCF text; a control is a torque [N·m], or a current [A] where drive gains are given."""
     drives = _drives(arm)
+    springs = _springs(arm)
     root = ET.Element("mujoco", model=arm.name)
     root.append(ET.Comment(remark))
     _add(
@@ -383,6 +403,9 @@ def _mjcf(arm: Robot, remark: str, gains: Array | None) -> str:
         for key, drive in _MJCF_NAMES.items():
             if drives[drive][j]:
                 properties[key] = drives[drive][j]
+        stiffness, rest = springs[j]
+        if stiffness:
+            properties |= {"stiffness": stiffness, "springref": rest}
         if "frictionloss" in properties:
             properties |= _STIFF_FRICTION
         _add(body, "joint", name=joint, type=kind, axis=_axis(arm, j), **properties)
@@ -407,6 +430,7 @@ def _sites(parent: ET.Element, arm: Robot, joint: int) -> None:
 def _sdf(arm: Robot, remark: str) -> str:
     """SDF text of an arm, fixed in a world; links, joints and frames share one list of names."""
     drives = _drives(arm)
+    springs = _springs(arm)
     root = ET.Element("sdf", {"version": "1.9", "xmlns:drake": "drake.mit.edu"})
     root.append(ET.Comment(remark))
     world = _add(root, "world", name="default")
@@ -449,6 +473,10 @@ def _sdf(arm: Robot, remark: str) -> str:
         dynamics = _add(axis, "dynamics")
         _add(dynamics, "damping", drives["viscous"][j])
         _add(dynamics, "friction", drives["coulomb"][j])
+        stiffness, rest = springs[j]
+        if stiffness:
+            _add(dynamics, "spring_reference", rest)
+            _add(dynamics, "spring_stiffness", stiffness)
         if drives["rotor"][j] > 0:
             _add(element, "drake:rotor_inertia", drives["rotor"][j])
         _sdf_frames(model, arm, j + 1, link, taken)

@@ -103,8 +103,9 @@ class Refit:
         values = effect_values(held)
         coefficients = [p for e in self._effects for p in e.parameters(self.arm)]
         mean = np.array([values.get(p.name, 0.0) for p in coefficients])
-        formats = [file_format in e.export.formats for e in self._effects]
-        kept = np.flatnonzero(np.outer(formats, self.known).ravel())
+        kept = np.flatnonzero(
+            np.concatenate([self._fitted(e, file_format) for e in self._effects])
+        )
         drives = self._recorded.select((links + kept).tolist())
         return _Heir(
             np.concatenate([self.arm.phi, mean]),
@@ -117,9 +118,22 @@ class Refit:
             ),
         )
 
+    def _fitted(self, effect: Effect, file_format: str) -> Mask:
+        """Which coefficients of a joint property a format lets fit, shape (terms nv,).
+
+        Those at joints whose gains are known; of what arms usually lack, as springs, only where
+        the model has it.
+        """
+        own = [
+            other.joints for other in self.arm.effects if other.name == effect.name
+        ]
+        there = np.isin(self.arm.joints, sum(own, ())) | effect.search.standard
+        held = self.known & there & (file_format in effect.exported.formats)
+        return np.repeat(held, len(effect.own_terms))
+
     @cached_property
     def _effects(self) -> tuple[Effect, ...]:
-        """All joint properties that any format holds, a coefficient a joint."""
+        """All joint properties that any format holds, at all joints."""
         return tuple(
             kind(self.arm.joints)
             for kind in EFFECTS.values()

@@ -281,6 +281,11 @@ class Effect(ABC):
         return plain(self.name)
 
     @property
+    def exported(self) -> Export:
+        """What files of a model hold of it in its shape."""
+        return self.export
+
+    @property
     def jointwise(self) -> bool:
         """Whether each joint has coefficients of its own, which act on that joint only."""
         return self.acts_on is Acts.EACH

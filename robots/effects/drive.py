@@ -276,6 +276,7 @@ class Spring(JointEffect):
         },
     )
     terms = (Parameter("k", "N·m/rad"), Parameter("moment", "N·m"))
+    export = Export("spring", {"mjcf": "", "sdf": ""})
 
     lever: bool = False  # whether it pulls one, as in counterbalanced shoulders
 
@@ -286,6 +287,10 @@ class Spring(JointEffect):
             for s in ("cos", "sin")
         )
         return lever if self.lever else self.terms
+
+    @property
+    def exported(self) -> Export:
+        return Export() if self.lever else self.export
 
     @property
     def curve(self) -> str:

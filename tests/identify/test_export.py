@@ -33,7 +33,7 @@ from excitant.robots import effects as fx
 from excitant.robots.parameters import violations
 from excitant.robots.urdf import robot_from_urdf
 
-SMOOTH = (fx.ViscousFriction, fx.RotorInertia)
+SMOOTH = (fx.ViscousFriction, fx.RotorInertia, fx.Spring)
 BUILT_IN = ("planar_2r", "ur10", "panda", "cmu_dd_arm_ii", "puma560", "cylindrical")
 HELD = {
     "panda": {"panda_joint3": 0.4, "panda_joint7": -1.0},
@@ -207,7 +207,7 @@ def numbers(element: ET.Element, path: str) -> np.ndarray:
     return np.array(element.findtext(path, "0").split(), float)
 
 
-def read_sdf(text: str) -> tuple[ET.Element, TrueArm]:
+def read_sdf(text: str) -> tuple[ET.Element, Call]:
     """A reader of its own for SDFormat 1.9, as far as arms need it."""
     world = ET.fromstring(text).find("world")
     model, arm, drives = world.find("model"), pin.Model(), []
@@ -232,17 +232,19 @@ def read_sdf(text: str) -> tuple[ET.Element, TrueArm]:
         tensor = np.reshape([numbers(link, entry) for entry in entries], (3, 3))
         body = pin.Inertia(numbers(link, "inertial/mass")[0], lever[:3], tensor)
         arm.appendBodyToJoint(ids[child], body, pin.SE3.Identity())
-        paths = ("axis/dynamics/damping", "axis/dynamics/friction", "{drake.mit.edu}rotor_inertia")
+        keys = ("damping", "friction", "spring_stiffness", "spring_reference")
+        paths = (*(f"axis/dynamics/{key}" for key in keys), "{drake.mit.edu}rotor_inertia")
         drives.append([numbers(joint, path)[0] for path in paths])
-    Fv, Fc, Ia = np.array(drives).T
-    return model, TrueArm(arm, Fv, Fc, Ia=Ia)
+    Fv, Fc, k, rest, Ia = np.array(drives).T
+    rigid = TrueArm(arm, Fv, Fc, Ia=Ia)
+    return model, lambda motion: rigid.torque(motion) + k * (motion.q - rest)
 
 
 def test_sdf_needs_the_torque_of_all_that_it_holds(written: Written) -> None:
     """It names nothing twice and has the limits."""
     model, motion, files = written
-    read, arm = read_sdf(files["arm.sdf"])
-    check(arm.torque(motion), torque(with_only(model, *SMOOTH, fx.CoulombFriction), motion))
+    read, needed = read_sdf(files["arm.sdf"])
+    check(needed(motion), torque(with_only(model, *SMOOTH, fx.CoulombFriction), motion))
     names = [e.get("name") for e in read if e.get("name")]
     assert len({"world", *names}) == 1 + len(names)
     for limit, ends in zip(read.findall("joint/axis/limit"), model.limits.position, strict=True):
@@ -259,7 +261,7 @@ def test_ros2_parameters_hold_what_a_controller_adds(written: Written) -> None:
     assert not re.search(r"[:-] -?\d+$", text, re.MULTILINE)
     friction, gains = found["friction"], found["gains"]
     assert tuple(friction) == tuple(gains) == model.joints
-    kinds = (*SMOOTH, fx.CoulombFriction, fx.TorqueOffset)
+    kinds = (*SMOOTH[:2], fx.CoulombFriction, fx.TorqueOffset)
     own = {key: np.array([each[key] for each in friction.values()]) for key in DRIVES}
     rubbing = own["viscous"] * motion.dq + own["coulomb"] * np.sign(motion.dq)
     rubbing += own["offset"] + own["rotor"] * motion.ddq
@@ -292,7 +294,7 @@ def test_any_chain_needs_the_same_torque_in_every_format(random_chain, seed, nv,
     motion, files = states(model, 5, seed), model_files(model, "arm", "arm.yaml")
     alone = robot_from_urdf(files["arm.urdf"], source="arm.urdf", gravity=model.gravity)
     for found, kinds in (
-        (read_sdf(files["arm.sdf"])[1].torque(motion), (*SMOOTH, fx.CoulombFriction)),
+        (read_sdf(files["arm.sdf"])[1](motion), (*SMOOTH, fx.CoulombFriction)),
         (in_mujoco(model, files["arm.xml"], motion, BITS.mjDSBL_CONSTRAINT), SMOOTH),
         (torque(alone, motion), ()),
     ):
