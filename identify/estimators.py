@@ -115,8 +115,10 @@ SMOOTHING = Smoothing()
 
 def estimated(
     rows: FitRows, recordings: Sequence[Recording], name: str | None
-) -> tuple[LeastSquares, str, tuple[str, ...]]:
+) -> tuple[FitRows, LeastSquares, str, tuple[str, ...]]:
     """Base parameters by the estimator of a name, which it was, and what the user should know.
+
+    First come the rows, with drive gains of currents by what the estimator believes of them.
 
     Without a name, weighted least squares, or what the fitted rows call for in its place: `irls`
     where gross errors of torque spoil it, else `smooth` where noise of the motion does.
@@ -132,24 +134,27 @@ def estimated(
         fit = weighted_least_squares(problem)
         robust, sentence = _robust(problem, fit, rows.robot.joints)
         if sentence:
-            return robust, "irls", (sentence,)
-        fit, sentence = _smooth(rows, fit)
-        return (fit, "smooth", (sentence,)) if sentence else (fit, "wls", ())
+            return *_regained(rows, robust), "irls", (sentence,)
+        rows, fit, sentence = _smooth(rows, fit)
+        if sentence:
+            return rows, fit, "smooth", (sentence,)
+        return rows, fit, "wls", ()
     if name == "wls":
-        return weighted_least_squares(problem), name, ()
+        return rows, weighted_least_squares(problem), name, ()
     note = f"base parameters by {ESTIMATORS[name]}"
     if name == "irls":
-        return irls(problem), name, (note,)
+        return *_regained(rows, irls(problem)), name, (note,)
     if name == "iv":
         try:
-            return iv(*half_regressions(rows, recordings)), name, (note,)
+            fit = iv(*half_regressions(rows, recordings))
+            return rows, fit, name, (note,)
         except np.linalg.LinAlgError as error:
             few = "every second sample shows too little of the motion; take smooth"
             raise BadInput(f"estimator iv: {few}") from error
-    fit, cutoffs_hz = smoothed_fit(rows)
+    rows, fit, cutoffs_hz = smoothed_fit(rows)
     up_to = f"positions count up to {_band(cutoffs_hz)}"
     said = f"{up_to}, above which noise drowns their acceleration"
-    return fit, name, (note, said)
+    return rows, fit, name, (note, said)
 
 
 def spoiled(rows: FitRows) -> bool:
@@ -214,7 +219,17 @@ def _follow_motion(problem: Regression, sigma: Array, errors: Array) -> bool:
     return as_large <= FALSE_ALARM * (SHIFTS + 1)
 
 
-def _smooth(rows: FitRows, fit: LeastSquares) -> tuple[LeastSquares, str]:
+def _regained(rows: FitRows, fit: LeastSquares) -> tuple[FitRows, LeastSquares]:
+    """Robust regression with drive gains of currents by rows without gross errors."""
+    if rows.data.unit != "A":
+        return rows, fit
+    problem = rows.reduced
+    sound = np.abs(problem.residual(fit.beta)) <= ROBUST.gross * fit.sigma
+    rows = rows.regained(problem.counting(sound))
+    return rows, irls(rows.reduced)
+
+
+def _smooth(rows: FitRows, fit: LeastSquares) -> tuple[FitRows, LeastSquares, str]:
     """Least squares on smoothed positions where coarse ones spoil it, and the sentence for it.
 
     Errors of the columns, noise of the motion or motion that is smoothed away, leave more of the
@@ -222,19 +237,21 @@ def _smooth(rows: FitRows, fit: LeastSquares) -> tuple[LeastSquares, str]:
     """
     share = coarseness(rows.data.train)
     if not (share > ATTENUATION).any():
-        return fit, ""
+        return rows, fit, ""
     try:
-        found, cutoffs_hz = smoothed_fit(rows)
+        smooth, found, cutoffs_hz = smoothed_fit(rows)
     except RankDeficient:
-        return fit, ""
-    if np.log(found.sigma / fit.sigma).sum() >= 0:
-        return fit, ""
+        return rows, fit, ""
+    error = found.sigma / smooth.gains
+    if np.log(error * rows.gains / fit.sigma).sum() >= 0:
+        return rows, fit, ""
     worst = int(np.argmax(share))
-    return found, (
+    sentence = (
         f"positions are coarse beside the motion (noise of {100 * share[worst]:.2g} % of the "
         f"acceleration of {rows.robot.joints[worst]}): {ESTIMATORS['smooth']}, which count up to "
         f"{_band(cutoffs_hz)}"
     )
+    return smooth, found, sentence
 
 
 def _band(cutoffs_hz: Array) -> str:
@@ -389,17 +406,24 @@ def half_regressions(
     return even, odd
 
 
-def smoothed_fit(rows: FitRows) -> tuple[LeastSquares, Array]:
+def smoothed_fit(rows: FitRows) -> tuple[FitRows, LeastSquares, Array]:
     """Least squares on smoothed positions, and their cut-offs, (segments, nv) [Hz].
 
-    What a lower cut-off changes, of noise that is left and of motion that is lost, is uncertain.
+    The rows come first, with drive gains of currents by the smoothed positions: noise of the
+    motion makes gains too large. What a lower cut-off changes, of noise that is left and of motion
+    that is lost, is uncertain.
     """
     smoothed, cutoffs_hz = smoothed_regression(rows)
-    fit = weighted_least_squares(smoothed)
     less, _ = smoothed_regression(rows, SMOOTHING.narrower)
-    change = weighted_least_squares(less).beta - fit.beta
+    regained = rows.regained(smoothed)
+    ratio = regained.gains / rows.gains
+    fit, narrower = (
+        weighted_least_squares(problem.with_torque(problem.tau * ratio))
+        for problem in (smoothed, less)
+    )
+    change = narrower.beta - fit.beta
     covariance = fit.covariance + np.outer(change, change)
-    return replace(fit, covariance=covariance), cutoffs_hz
+    return regained, replace(fit, covariance=covariance), cutoffs_hz
 
 
 def smoothed_regression(

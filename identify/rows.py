@@ -1,8 +1,8 @@
 """Fitted and held-out data, the regression of an arm on them, and its accuracy."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,7 @@ from excitant.identify.regression import Regression, regression_of
 from excitant.identify.signals import SensorNoise, mean_noise
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect, Parameter, standard_effects
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import UNITS
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
@@ -302,18 +302,40 @@ class FitRows:
         """Columns of links and effects, shape (n, nv, p)."""
         return self.regression.W
 
-    def by_gain(self, weight: Array) -> Array:
-        """Wᵀ τ of each joint, rows times weight (nv,): what a relative change of its gain adds.
+    def regained(self, problem: Regression) -> Self:
+        """The rows with drive gains of currents by better columns, or by fewer rows, of the base.
 
-        Shape (p, nv).
+        As they are where torque was recorded. The problem has these rows' units.
         """
+        if self.data.unit != "A":
+            return self
+        columns = problem.W @ self.base.regrouping
+        current = problem.tau / self.gains
+        drive = current_gains(self.robot, columns, current, problem.used)
+        torque = self.tau * drive.gains / self.gains
+        regression = self.regression.with_torque(torque)
+        return replace(self, drive=drive, regression=regression)
+
+    def by_gain(self, weight: Array, beta: Array) -> tuple[Array, Array]:
+        """Wᵀ W β of each joint, and the change of β by a relative change of its drive gain.
+
+        Of base parameters β, shape (r,), rows times weight (nv,): Wᵀ of all columns, (p, nv), and
+        A⁻¹ W_jᵀ W_j β, A that of the normal equations, (r, nv). Torque as fitted stands for that
+        measured, for the fit may have passed over gross errors.
+        """
+        columns = list(self.base.columns)
+        x = np.zeros(self.regression.p)
+        x[columns] = beta
         pull = np.zeros((self.regression.p, self.robot.nv))
         parts = zip(
             self.regression.index, self.regression.triangles, weight, strict=True
         )
         for j, (index, T, w) in enumerate(parts):
-            pull[index, j] = w**2 * T[:, :-1].T @ T[:, -1]
-        return pull
+            own = T[:, :-1]
+            pull[index, j] = w**2 * own.T @ (own @ x[index])
+        R, _ = self.reduced.factor(weight)
+        change = np.linalg.solve(R.T @ R, pull[columns])
+        return pull, read_only(change)
 
     @property
     def reduced(self) -> Regression:

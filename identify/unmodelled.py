@@ -236,7 +236,10 @@ def allowing_for_springs(
     bodies = physical.prior.bodies
     own = [robot.nv + j for j in seen]
     of_links, of_joints = np.split(
-        agreement(scaled, z, bodies, size.shape[1], own), 2
+        agreement(
+            scaled, z, bodies, size.shape[1], own, errors_by_gains(rows, fit, R)
+        ),
+        2,
     )
     instead = moved & (of_links == of_links.min())
     joints = np.flatnonzero(of_joints) if instead.any() else np.array([*seen], int)
@@ -265,6 +268,18 @@ def allowing_for_springs(
         replace(found, undecided=links, springs=valued),
         (_sentence(robot, stiffness, torque, links),),
     )
+
+
+def errors_by_gains(rows: FitRows, fit: LeastSquares, R: Array) -> Array | None:
+    """Root of the covariance of whitened torque by uncertain drive gains, shape (m, nv).
+
+    R are whitened columns, those of all parameters first, shape (m, ...).
+    """
+    if rows.drive is None:
+        return None
+    _, J = rows.by_gain(fit.weight, fit.beta)
+    root = np.linalg.cholesky(rows.drive.covariance)
+    return R[:, list(rows.base.columns)] @ J @ root
 
 
 def _springs(robot: Robot) -> list[Spring]:
