@@ -241,6 +241,8 @@ def allowing_for_springs(
         ),
         2,
     )
+    # bodies need not be off by more where springs may act too
+    of_links = np.minimum(of_links, sigma)
     instead = moved & (of_links == of_links.min())
     joints = np.flatnonzero(of_joints) if instead.any() else np.array([*seen], int)
     if not len(joints):
