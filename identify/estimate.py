@@ -23,12 +23,7 @@ from excitant.identify.drive_gains import BODY_STD, DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated, spoiled
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
-from excitant.identify.physical import (
-    AGREEMENT,
-    PhysicalFit,
-    agreement,
-    fit_physical,
-)
+from excitant.identify.physical import AGREEMENT, PhysicalFit, fit_physical
 from excitant.identify.poses import (
     SHOWN,
     kept,
@@ -80,7 +75,6 @@ from excitant.identify.unmodelled import (
     Delay,
     allowing_for_springs,
     delay_of,
-    errors_by_gains,
     impossible_values,
     of_noise,
     spread_of,
@@ -407,7 +401,7 @@ def identify_robot(
         fit = _with_bias(rows, fit, noise)
     if name != "wls":
         z = R[:, rows.base.columns] @ fit.beta
-    physical, near = _bodies(R, z, prior, rows, fit, known)
+    physical, near = _bodies(R, z, prior, rows, known)
     if name != "irls":  # gross errors hide what else is in them
         fit, physical, told = allowing_for_springs(rows, fit, physical, noise, near)
         remarks += told
@@ -433,36 +427,20 @@ def identify_robot(
 
 
 def _bodies(
-    R: Array,
-    z: Array,
-    prior: Array,
-    rows: FitRows,
-    fit: LeastSquares,
-    known: Knowledge,
+    R: Array, z: Array, prior: Array, rows: FitRows, known: Knowledge
 ) -> tuple[PhysicalFit, Knowledge]:
     """The physically consistent fit, and what it takes for known.
 
     Descriptions tell masses better than shapes, torque tells them worse: they are near the given
     ones where these, and the torque then left, are off by chance. The last link may carry any tool.
-    Bodies do not give way to what uncertain drive gains explain, where they need not by chance.
     """
     robot = rows.robot
-    alarm = AGREEMENT.false_alarm
 
-    def fitted_with(bodies: BodyPrior, knowledge: Knowledge) -> PhysicalFit:
+    def fitted_with(bodies: Array | BodyPrior, knowledge: Knowledge) -> PhysicalFit:
         effects = rows.open_prior
         return fit_physical(R, z, bodies, effects, knowledge, robot.links)
 
-    def misfit(found: PhysicalFit) -> float:
-        return float(((R @ found.x - z) ** 2).sum())
-
-    free = fitted_with(BodyPrior(prior, agreement(R, z, prior)), known)
-    if rows.drive is not None:
-        errors = errors_by_gains(rows, fit, R)
-        sigma = agreement(R, z, prior, errors=errors)
-        beside = fitted_with(BodyPrior(prior, sigma), known)
-        enough = misfit(free) + scipy.special.chdtri(len(fit.beta), alarm)
-        free = beside if misfit(beside) < enough else free
+    free = fitted_with(prior, known)
     told = ~placeholder_links(robot)
     told[-1] = False
     given = prior[told, 0]
@@ -471,9 +449,10 @@ def _bodies(
     links = np.array(robot.links)[told].tolist()
     near = known.near(dict(zip(links, given.tolist(), strict=True)), BODY_STD)
     tied = fitted_with(free.prior, near)
+    left, least = (float(((R @ fit.x - z) ** 2).sum()) for fit in (tied, free))
     off = (tied.x[: 10 * robot.nv : 10][told] / given - 1) / BODY_STD
-    enough = misfit(free) + scipy.special.chdtri(len(given), alarm)
-    return (tied, near) if misfit(tied) + off @ off < enough else (free, known)
+    chance = float(scipy.special.chdtri(len(given), AGREEMENT.false_alarm))
+    return (tied, near) if left - least + off @ off < chance else (free, known)
 
 
 def _motion_rows(
@@ -523,7 +502,7 @@ def judged(
     """The estimate of a robot as given from rows, with base parameters and physical ones.
 
     Uncertain drive gains k of currents add J C Jᵀ to the covariances, C that of log k. A gain
-    scales its joint's torque, which the columns of J are changes of β by (`FitRows.by_gain`).
+    scales its joint's torque, so the columns of J are A⁻¹ W_jᵀ W_j β, A that of normal equations.
     Predicted currents rest on no gain, so the least-squares covariance stays as it is. What rests
     on gains that are not known has no standard deviation worth the name: it is NaN.
     """
@@ -531,7 +510,9 @@ def judged(
     widened = fit.uncertainty
     unknown = np.zeros(len(widened), bool)
     if drive is not None:
-        pull, J = rows.by_gain(fit.weight, fit.beta)
+        pull = rows.by_gain(fit.weight, fit.beta)
+        R, _ = rows.reduced.factor(fit.weight)
+        J = read_only(np.linalg.solve(R.T @ R, pull[list(rows.base.columns)]))
         widened = widened + J @ drive.covariance @ J.T
         unknown = _rests_on_unknown(fit.covariance, J, drive)
         # what is told in amperes rests on no gain

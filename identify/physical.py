@@ -205,30 +205,24 @@ def fit_program(
 
 
 def agreement(
-    R: Array,
-    z: Array,
-    prior: Array,
-    terms: int = 0,
-    own: Sequence[int] = (),
-    errors: Array | None = None,
+    R: Array, z: Array, prior: Array, terms: int = 0, own: Sequence[int] = ()
 ) -> Array:
     """Relative uncertainty σ of each given body under which the data are most likely, (links,).
 
-    Data z = R x + ε, ε of unit variance and of further errors with covariance E Eᵀ, E of shape
-    (m, k), with bodies normal around the prior and nothing known of effects, have the covariance
-    1 + E Eᵀ + Σ_k σ_k² K_k in what no effect explains; σ maximises their likelihood (type II
-    maximum likelihood, MacKay 1992): it is how far off the given bodies are where the data see
-    them. All links have one σ, but for those that are significantly further off: the last, which
-    carries tools that descriptions lack, and others, one by one, counted against chance among as
-    many links. No description is taken to be right to better than `Agreement.least`. Shapes as in
-    `fit_physical`.
+    Data z = R x + ε, ε of unit variance, with bodies normal around the prior and nothing known of
+    effects, have the covariance 1 + Σ_k σ_k² K_k in what no effect explains; σ maximises their
+    likelihood (type II maximum likelihood, MacKay 1992): it is how far off the given bodies are
+    where the data see them. All links have one σ, but for those that are significantly further
+    off: the last, which carries tools that descriptions lack, and others, one by one, counted
+    against chance among as many links. No description is taken to be right to better than
+    `Agreement.least`. Shapes as in `fit_physical`.
 
     With the last columns of R, terms for each joint, a torque may act there beside the bodies: σ of
     joints, its size in units of the columns, follow those of the links, 0 where the data call for
     none. Some links, or joints counted after them, may have their own σ from the start.
     """
     links = len(prior)
-    blocks, residual, more = _deviations(R, z, prior, terms, errors)
+    blocks, residual = _deviations(R, z, prior, terms)
     most = np.full(links, LARGEST_SIGMA / AGREEMENT.least)
     largest = np.append(largest_uncertainty(prior), most)
 
@@ -262,8 +256,7 @@ def agreement(
         least = np.inf
         for group in groups * (AGREEMENT.alternations if own else 1):
             sigma[group] = 0.0
-            parts = [more, *(blocks * sigma[:, None, None])]
-            beside = np.concatenate(parts, axis=1)
+            beside = np.concatenate(blocks * sigma[:, None, None], axis=1)
             block = np.concatenate(blocks[group], axis=1)
             sigma[group], least = most_likely(block, beside, largest[group].min())
         return least, sigma
@@ -290,31 +283,29 @@ def agreement(
 
 
 def _deviations(
-    R: Array, z: Array, prior: Array, terms: int, errors: Array | None
-) -> tuple[Array, Array, Array]:
-    """Columns of the links' coordinates, residual of nominal bodies and errors, beyond all effects.
+    R: Array, z: Array, prior: Array, terms: int
+) -> tuple[Array, Array]:
+    """Columns of the links' coordinates and residual of nominal bodies, beyond all effects.
 
     Those of joints follow, the last columns of R, terms each. Shapes (links, rows, 10) or, with
-    joints, (2 links, rows, 10), (rows,) and (rows, k); without rows that no body moves, which tell
-    no σ.
+    joints, (2 links, rows, 10), and (rows,); without rows that no body moves, which tell no σ.
     """
     p = R.shape[1]
-    errors = np.zeros((len(R), 0)) if errors is None else errors
     T = link_coordinates(prior)
     size = len(T)
     joints = p - terms * len(prior)
-    factor = triangle(np.column_stack([R, z, errors]))[:p]
+    factor = triangle(np.column_stack([R, z]))[:p]
     free = scipy.linalg.null_space(factor[:, size:joints].T).T
     columns = free @ factor[:, :size] @ T / link_weights(len(prior), 1.0)
     residual = free @ (factor[:, p] - factor[:, :size] @ prior.ravel())
     if terms:
-        acting = (free @ factor[:, joints:p]).reshape(len(free), -1, terms)
-        padded = np.pad(acting, ((0, 0), (0, 0), (0, 10 - terms)))
+        more = (free @ factor[:, joints:p]).reshape(len(free), -1, terms)
+        padded = np.pad(more, ((0, 0), (0, 0), (0, 10 - terms)))
         columns = np.column_stack([columns, padded.reshape(len(free), -1)])
     U, s, _ = np.linalg.svd(columns, full_matrices=False)
     U = U[:, s > _ROUNDING * max(s[:1], default=1.0)]
     blocks = (U.T @ columns).reshape(U.shape[1], columns.shape[1] // 10, 10)
-    return blocks.swapaxes(0, 1), U.T @ residual, U.T @ free @ factor[:, p + 1 :]
+    return blocks.swapaxes(0, 1), U.T @ residual
 
 
 def _known(

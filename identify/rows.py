@@ -23,7 +23,7 @@ from excitant.identify.regression import Regression, regression_of
 from excitant.identify.signals import SensorNoise, mean_noise
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect, Parameter, standard_effects
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array
 from excitant.robots.parameters import UNITS
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
@@ -316,16 +316,14 @@ class FitRows:
         regression = self.regression.with_torque(torque)
         return replace(self, drive=drive, regression=regression)
 
-    def by_gain(self, weight: Array, beta: Array) -> tuple[Array, Array]:
-        """Wᵀ W β of each joint, and the change of β by a relative change of its drive gain.
+    def by_gain(self, weight: Array, beta: Array) -> Array:
+        """Wᵀ W β of each joint, rows times weight (nv,): what a relative change of its gain adds.
 
-        Of base parameters β, shape (r,), rows times weight (nv,): Wᵀ of all columns, (p, nv), and
-        A⁻¹ W_jᵀ W_j β, A that of the normal equations, (r, nv). Torque as fitted stands for that
-        measured, for the fit may have passed over gross errors.
+        W holds the base columns of β, shape (r,), Wᵀ all columns: shape (p, nv). Torque as fitted
+        stands for the measured one, of which the fit may have passed over gross errors.
         """
-        columns = list(self.base.columns)
         x = np.zeros(self.regression.p)
-        x[columns] = beta
+        x[list(self.base.columns)] = beta
         pull = np.zeros((self.regression.p, self.robot.nv))
         parts = zip(
             self.regression.index, self.regression.triangles, weight, strict=True
@@ -333,9 +331,7 @@ class FitRows:
         for j, (index, T, w) in enumerate(parts):
             own = T[:, :-1]
             pull[index, j] = w**2 * own.T @ (own @ x[index])
-        R, _ = self.reduced.factor(weight)
-        change = np.linalg.solve(R.T @ R, pull[columns])
-        return pull, read_only(change)
+        return pull
 
     @property
     def reduced(self) -> Regression:

@@ -236,10 +236,7 @@ def allowing_for_springs(
     bodies = physical.prior.bodies
     own = [robot.nv + j for j in seen]
     of_links, of_joints = np.split(
-        agreement(
-            scaled, z, bodies, size.shape[1], own, errors_by_gains(rows, fit, R)
-        ),
-        2,
+        agreement(scaled, z, bodies, size.shape[1], own), 2
     )
     # bodies need not be off by more where springs may act too
     of_links = np.minimum(of_links, sigma)
@@ -270,18 +267,6 @@ def allowing_for_springs(
         replace(found, undecided=links, springs=valued),
         (_sentence(robot, stiffness, torque, links),),
     )
-
-
-def errors_by_gains(rows: FitRows, fit: LeastSquares, R: Array) -> Array | None:
-    """Root of the covariance of whitened torque by uncertain drive gains, shape (m, nv).
-
-    R are whitened columns, those of all parameters first, shape (m, ...).
-    """
-    if rows.drive is None:
-        return None
-    _, J = rows.by_gain(fit.weight, fit.beta)
-    root = np.linalg.cholesky(rows.drive.covariance)
-    return R[:, list(rows.base.columns)] @ J @ root
 
 
 def _springs(robot: Robot) -> list[Spring]:
