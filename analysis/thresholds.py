@@ -2,8 +2,8 @@
 
 One record per stage. The docstring of a field states the unit, the inequality that the value enters
 and where the value comes from; "convention" marks one for which no derivation is recorded. What
-those of a diagnosis do is measured by ``benchmarks/diagnosis.py``, those of discrimination by
-``benchmarks/separation.py``, those of resolution by ``benchmarks/arms.py``.
+those of a diagnosis do is measured by ``benchmarks/diagnosis.py``, those of discrimination by its
+``--settle``, those of resolution by ``benchmarks/arms.py``.
 """
 
 from dataclasses import dataclass

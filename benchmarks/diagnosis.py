@@ -6,8 +6,9 @@ import json
 import time
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import common
 import numpy as np
@@ -18,11 +19,13 @@ from common import wilson
 from threadpoolctl import threadpool_limits
 from worlds_plant import DURATION, Hidden, Plant, Rng, Trajectory
 
-from excitant.analysis.diagnosis import diagnose
+from excitant.analysis.diagnosis import Diagnosis, diagnose
+from excitant.analysis.diagnosis_result import key
+from excitant.analysis.discrimination_plan import plan
 from excitant.design import random_trajectory
 from excitant.exceptions import Infeasible
 from excitant.identify import Recording, identify_robot
-from excitant.robots import Robot
+from excitant.robots import Robot, load_robot
 from excitant.robots.motion import Array
 
 OFF = {"exact": 0.0, "off 10 %": 0.1, "off 30 %": 0.3}  # inertias and friction of the given model
@@ -33,6 +36,7 @@ COUNTS = (0.6, 0.25, 0.15)  # shares of one, two and three effects
 DIFFER = ("payload", "gravity_direction", "encoder_offset", "coulomb_friction", "viscous_friction",
           "torque_offset", "torque_gain")  # fmt: skip
 HARMONICS = 5  # of each motion
+SEARCH, MOST_RUNS = 15.0, 10  # for motions that settle [s]; of one of them
 NOISE, ENCODER = 0.01, 2e-5  # of torque, of its standard deviation; of positions [rad]
 CORRELATION, BITS, HEADROOM = 0.02, 12, 1.5  # of coloured noise [s]; of torque, times its peak
 JITTER, GAINS = 0.1, (2.0, 30.0)  # of the period; of the drives [N·m/A]
@@ -75,50 +79,77 @@ def record(
     return Recording(name, name, t, q, tau)
 
 
-def drawn(
-    seed: int, number: int, differ: bool = False
-) -> tuple[dict[str, Any], Robot, list[Recording], list[Hidden]]:
-    """A case: its description, the given model, two recordings, and what is hidden."""
+class Asked(NamedTuple):
+    """What is drawn and done beside the usual, as options of `main`."""
+
+    differ: bool = False
+    settle: bool = False
+    kinds: Sequence[str] = ()
+    sizes: tuple[float, float] = worlds.SIZES
+    arms: Sequence[str] = ()
+
+
+class Case(NamedTuple):
+    """A case: its description, the given model, two recordings, what is hidden, its sensors."""
+
+    about: dict[str, Any]
+    robot: Robot
+    recordings: list[Recording]
+    hidden: list[Hidden]
+    read: Callable[..., Recording]  # of a motion, by name and for some time
+
+
+def drawn(seed: int, number: int, asked: Asked = Asked()) -> Case:  # noqa: B008
+    """A case by its number."""
     rng, (off, reading) = np.random.default_rng([seed, number]), WORLDS[number % len(WORLDS)]
     category = str(rng.choice(list(CATEGORIES), p=list(CATEGORIES.values())))
-    category = "between" if differ else category
-    robot, given, bare, motions = moving_arm(rng, OFF[off])
-    drawing, plant, hidden = worlds.Drawing(bare, given, motions, rng), bare, list[Hidden]()
+    category = "between" if asked.differ else "effects" if asked.kinds else category
+    robot, given, bare, motions = moving_arm(rng, OFF[off], asked.arms)
+    drawing = worlds.Drawing(bare, given, motions, rng, asked.sizes)
+    plant, hidden = bare, list[Hidden]()
     if category == "set-up":
         plant, found = drawing.set_up(plant, str(rng.choice(worlds.SET_UPS)))
         hidden.append(found)
     elif category != "nothing":
         kinds, count = worlds.STRUCTURES, 1
         if category in ("effects", "between"):  # a current does not show the gain of its drive
-            kinds = DIFFER if differ else worlds.KINDS
+            kinds = asked.kinds or (DIFFER if asked.differ else worlds.KINDS)
             kinds = tuple(k for k in kinds if (k, reading) != ("torque_gain", "current"))
-        if category == "effects":
+        if asked.kinds:  # each in every world
+            kinds = (kinds[(number + number // len(WORLDS)) % len(kinds)],)
+        elif category == "effects":
             count = 1 + int(rng.choice(3, p=COUNTS))
         taken = set[int]()
         for kind in rng.choice(kinds, count, replace=False):
             plant, found = drawing.hide(plant, str(kind), taken)
             hidden.append(found)
     gains = np.exp(rng.uniform(*np.log(GAINS), robot.nv))
-    both = zip((bare if differ else plant, plant), motions, ("fitted", "held"), strict=True)
-    recordings = [record(arm, motion, reading, gains, rng, name) for arm, motion, name in both]
+    sensors = partial(record, reading=reading, gains=gains, rng=rng)
+    both = zip((bare if asked.differ else plant, plant), motions, ("fitted", "held"), strict=True)
+    recordings = [sensors(arm, motion, name=name) for arm, motion, name in both]
     case = {"case": number, "seed": seed, "arm": robot.name, "world": f"{off}, {reading}"}
-    return case | {"category": category, "off": OFF[off] * (not differ)}, robot, recordings, hidden
+    case |= {"category": category, "off": OFF[off] * (not asked.differ)}
+    return Case(case, robot, recordings, hidden, partial(sensors, plant))
 
 
-def moving_arm(rng: Rng, off: float) -> tuple[Robot, Plant, Plant, tuple[Trajectory, ...]]:
+def moving_arm(
+    rng: Rng, off: float, arms: Sequence[str] = ()
+) -> tuple[Robot, Plant, Plant, tuple[Trajectory, ...]]:
     """An arm whose drives can hold it, as `given_and_true`, and two motions."""
     while True:
-        robot, given, bare = worlds.given_and_true(worlds.drawn_arm(rng), rng, off)
+        arm = load_robot(str(rng.choice(arms))) if arms else worlds.drawn_arm(rng)
+        robot, given, bare = worlds.given_and_true(arm, rng, off)
         with contextlib.suppress(Infeasible):
             motions = [random_trajectory(robot, rng, DURATION, HARMONICS) for _ in range(2)]
             return robot, given, bare, tuple(motions)
 
 
-def run(seed: int, number: int, tell: bool = False, differ: bool = False) -> dict[str, Any]:
+def run(seed: int, number: int, asked: Asked, tell: bool = False) -> dict[str, Any]:
     """Draw a case, diagnose it and score what is said; ``tell`` prints all of it."""
     threadpool_limits(1)
     warnings.simplefilter("ignore")
-    case, robot, (fitted, holdout), hidden = drawn(seed, number, differ)
+    differ, world = asked.differ, drawn(seed, number, asked)
+    case, robot, (fitted, holdout), hidden, _ = world
     case["hidden"] = [plain(vars(h)) for h in hidden]
     begun = time.perf_counter()
     try:
@@ -129,6 +160,7 @@ def run(seed: int, number: int, tell: bool = False, differ: bool = False) -> dic
         else:
             diagnosis = diagnose(robot, [fitted], validate=[holdout])
             findings = apart(diagnosis.result()["findings"])
+            case["settled"] = list(settled(world, diagnosis)) if asked.settle else []
     except Exception as error:
         if tell:
             raise
@@ -144,6 +176,46 @@ def run(seed: int, number: int, tell: bool = False, differ: bool = False) -> dic
             print(f"nrmse on the hold-out, {label} model: {np.round(accuracy.nrmse, 3)}")
         print("\n".join([diagnosis.headline, *diagnosis.notes]))
     return case
+
+
+def settled(world: Case, before: Diagnosis) -> Iterator[dict[str, Any]]:
+    """What becomes of undecided pairs when the motions that are to decide them were run."""
+    proposed = plan(before, np.random.default_rng(0), time_limit=SEARCH)
+    fitted, holdout = world.recordings
+    runs = []
+    for k, motion in enumerate(proposed.motions, start=1):
+        asking = [e for e in proposed.experiments.values() if e.file == f"separate-{k}.csv"]
+        for repeat in range(min(max([e.repetitions or 1 for e in asking], default=0), MOST_RUNS)):
+            runs.append(world.read(motion, name=f"separate-{k}-{repeat}", duration=motion.period))
+    after = diagnose(world.robot, [fitted, *runs], validate=[holdout]) if runs else before
+    left = apart(after.result()["findings"])
+    named = {about(f) for f in left if f["verdict"] == "named"}
+    open_ = {frozenset((about(f), about(r))) for f in left for r in f["rivals"]}
+    for finding in before.findings:
+        for rival in finding.rivals:
+            pair = (finding.effect, rival.candidate.effect)
+            advice, ends = proposed.experiments.get(key(*pair)), [(e.name, *e.joints) for e in pair]
+            true = [end for end in ends if is_true(end, world)]
+            kept = [end for end in ends if end in named]
+            wrong = [end for end in kept if end not in true]
+            decided = bool(kept) or (
+                not true and not any(end in said for end in ends for said in open_)
+            )
+            how = "action" if advice is None or advice.file is None else "motion"
+            became = "wrong" if wrong else "right" if decided else "open"
+            yield {"pair": ends, "true": true, "how": how, "became": became}
+
+
+def about(finding: dict[str, Any]) -> tuple[str, ...]:
+    """Name and joints of a finding or of a rival."""
+    return (finding["effect"], *finding["joints"])
+
+
+def is_true(end: tuple[str, ...], world: Case) -> bool:
+    """Whether a cause by name and joints is there."""
+    entry = {"effect": end[0], "joints": end[1:]}
+    there = any(is_it(entry, h, world.robot) for h in world.hidden)
+    return there or of_the_world(end[0], world.about["off"], world.hidden)
 
 
 def plain(value: Any) -> Any:
@@ -227,6 +299,17 @@ def of_the_world(effect: str, off: float, hidden: Sequence[Hidden]) -> bool:
     return effect in worlds.FRICTION and off > 0
 
 
+def confusion(results: Sequence[dict[str, Any]]) -> str:
+    """What is said where one effect is hidden: its verdict, and other names."""
+    said = list[tuple[str, str]]()
+    for r in results:
+        [hidden], score = r["hidden"], r["score"]
+        verdict = "named" if score["named"][0] else "undecided" if score["found"][0] else "missed"
+        said.append((hidden["kind"], verdict))
+        said += [(hidden["kind"], f"wrong: {x.partition('@')[0]}") for x in score["wrong"]]
+    return pd.crosstab(*np.array(said).T, rownames=["hidden"], colnames=[""]).to_string()
+
+
 def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
     yield _worlds(results)
     done = [r for r in results if "score" in r]
@@ -257,6 +340,13 @@ def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
     )
     yield ""
     yield from (f"{label:44s} {wilson(hits):>12s} % of {len(hits)}" for label, hits in rows)
+    if pairs := [pair for r in done for pair in r.get("settled", ())]:
+        for how in ("motion", "action"):
+            here = [pair["became"] for pair in pairs if pair["how"] == how]
+            counts = [f"{x} {wilson([y == x for y in here])} %" for x in ("right", "wrong", "open")]
+            yield f"undecided pairs that a {how} is to settle: {len(here)}; {', '.join(counts)}"
+    if done and all(len(r["hidden"]) == 1 for r in done):
+        yield confusion(done)
     yield "\nsize [%]      effects     named [%]     found [%]"
     for low, high in itertools.pairwise(BINS):
         within = [e for e in effects if low <= e[0]["size"] < high]
@@ -295,6 +385,10 @@ def main(
     jobs: int = 2,
     output: common.Output = None,
     differ: bool = False,
+    settle: bool = False,
+    kinds: Sequence[str] = (),
+    sizes: tuple[float, float] = worlds.SIZES,
+    arms: Sequence[str] = (),
 ) -> None:
     """Draw and diagnose arms.
 
@@ -302,13 +396,17 @@ def main(
         count: Number of cases.
         case: Tell all of this case alone.
         differ: Hide an effect in the held-out recording alone, and tell what `identify` says of it.
+        settle: Run the motions that are to settle what is undecided, and diagnose again with them.
+        kinds: Hide one effect of these kinds in every case.
+        sizes: Of the hidden effects.
+        arms: Names of built-in ones, of which each case has one.
     """
-    seed = common.printed_seed(seed)
+    seed, asked = common.printed_seed(seed), Asked(differ, settle, kinds, sizes, arms)
     if case is not None:
-        run(seed, case, True, differ)
+        run(seed, case, asked, True)
         return
     begun = time.perf_counter()
-    cases = [(seed, k, False, differ) for k in range(1, count + 1)]
+    cases = [(seed, k, asked) for k in range(1, count + 1)]
     results = common.answers(run, cases, jobs, output)
     print("\n".join(report(results)))
     print(f"\n{count} cases in {(time.perf_counter() - begun) / 60:.1f} min")

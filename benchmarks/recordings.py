@@ -138,8 +138,9 @@ def main(*, sets: Sequence[str] = (), arms: int | None = None) -> None:
         if not sets or split.dataset in sets:
             report(split) if arms is None else files(split.dataset, *loaded(split))
     for number in range(arms or 0):
-        _, robot, (fit, judge), _ = drawn(7, number)
-        files(f"{robot.name} {number}", robot, [fit], [judge])
+        case = drawn(7, number)
+        fit, judge = case.recordings
+        files(f"{case.robot.name} {number}", case.robot, [fit], [judge])
 
 
 if __name__ == "__main__":

@@ -29,6 +29,10 @@ DURATION = 15.0  # of each motion [s]
 SIZES = (0.03, 0.4)  # of an effect's torque to its joint's, rms
 SLIDING = 1e-3  # speed below which dry friction grows with speed [rad/s]
 LONGEST, DRAWS = 0.06, 20  # of the delays [s]; of an effect, until it shows
+GIVES = {"joint_elasticity": (1e-3, 2e-2), "backlash": (1e-3, 1e-2)}  # at rms torque; play [rad]
+FLANK = 0.3  # what flanks give at rms torque, of the play
+DAMPING, FLANK_DAMPING = 0.1, 0.5  # of elastic gears and of flanks, relative to critical damping
+STEP, SETTLING = 1e-3, 0.5  # of the integration of links behind gears [s]
 
 FRICTION = ("coulomb_friction", "viscous_friction")
 BODIES = ("inertial_parameters", "payload")
@@ -38,8 +42,9 @@ KINDS = (
     *("torque_gain", "time_delay", "encoder_offset", "gravity_direction", *BODIES),
     *("nonlinear_viscous_friction", "presliding_hysteresis", "thermal_friction_drift"),
     *("inertia_coupling", "kinematic_error", "motor_saturation"),
-    *("encoder_scale", "encoder_eccentricity"),
+    *("encoder_scale", "encoder_eccentricity", "joint_elasticity", "backlash", "gradual_reversal"),
 )
+REVERSALS = ("presliding_hysteresis", "gradual_reversal")  # of the known dry friction
 SET_UPS = ("mounting", "torque sign", "joint sign", "swapped", "zero position", "degrees")
 STRUCTURES = ("hose", "bumper", "swaying table")
 
@@ -78,6 +83,8 @@ class Plant:
     scale: Array | float = 1.0  # true motion over reading
     level: Array | float = np.inf  # at which readings of torque stay
     eccentricity: Array | complex = 0.0  # true position less reading: real part of it times e^(iq)
+    play: Array | float = 0.0  # of gears, from flank to flank [rad]
+    compliance: Array | float = 0.0  # of these [rad/(N·m)]; motors bear friction and rotors
     edit: Edit = lambda q, tau: (q, tau)  # of what was recorded
 
     @cached_property
@@ -104,18 +111,55 @@ class Plant:
             bodies.append(body)
         return spec.compile()
 
-    def state(self, motion: Trajectory, t: Array) -> State:
-        """The true motion, and what torque its rigid bodies need by MuJoCo."""
+    def motors(self, motion: Trajectory, t: Array) -> Array:
+        """True positions, velocities and accelerations of motors, (3, n, nv)."""
         q, dq, ddq = (self.scale * motion(t, order) for order in range(3))
         off = self.eccentricity * np.exp(1j * q)
-        dq, ddq = dq * (1 - off.imag), ddq * (1 - off.imag) - off.real * dq**2
-        q = q + self.offset + off.real
-        rigid, data = np.empty_like(q), mujoco.MjData(self.model)
-        for k in range(len(t)):
-            data.qpos, data.qvel, data.qacc = q[k], dq[k], ddq[k]
+        turns = 1 - off.imag
+        return np.array([q + self.offset + off.real, dq * turns, ddq * turns - off.real * dq**2])
+
+    def state(self, motion: Trajectory, t: Array) -> State:
+        """The true motion of motors, and what torque the rigid bodies need by MuJoCo."""
+        motors, data = self.motors(motion, t), mujoco.MjData(self.model)
+        rigid = np.empty_like(motors[0])
+        for k, state in enumerate(np.moveaxis(motors - self.lag(motion, t), 1, 0)):
+            data.qpos, data.qvel, data.qacc = state
             mujoco.mj_inverse(self.model, data)
             rigid[k] = data.qfrc_inverse
-        return State(t, q, dq, ddq, rigid, lambda other: self.state(motion, other))
+        return State(t, *motors, rigid, lambda other: self.state(motion, other))
+
+    def lag(self, motion: Trajectory, t: Array) -> Array:
+        """How far, how fast and how much faster links fall behind their motors, (3, n, nv).
+
+        The lag x of a link whose gear gives obeys τ(x'') = k (x beyond play) + d x', with τ what
+        the links need for their motion; steps are implicit in x of the gear and x'' of the link.
+        """
+        give, play = (x + 0 * self.viscous for x in (self.compliance, self.play))
+        some, half = np.flatnonzero(give).tolist(), (play / 2).tolist()
+        if not some:
+            return np.zeros((3, len(t), len(give)))
+        fine = np.arange(t[0] - SETTLING, t[-1] + 2 * STEP, STEP)
+        states, data = np.moveaxis(self.motors(motion, fine), 1, 0), mujoco.MjData(self.model)
+        M, path = np.empty((len(give), len(give))), np.zeros((len(fine) + 1, 3, len(give)))
+        data.qpos, data.qvel, data.qacc = states[0]
+        mujoco.mj_inverse(self.model, data)
+        path[0, 0] = (give * data.qfrc_inverse + play / 2 * np.sign(data.qfrc_inverse)) * (give > 0)
+        for k, state in enumerate(states):
+            data.qpos, data.qvel, data.qacc = state - path[k]
+            mujoco.mj_inverse(self.model, data)
+            mujoco.mj_fullM(self.model, data, M)
+            for j in some:
+                x, v, a = path[k, :, j].tolist()
+                m, needed = M[j, j], data.qfrc_inverse[j] + M[j, j] * a
+                beyond = x - max(-half[j], min(half[j], x))
+                stiff = bool(beyond) / give[j]
+                damped = 2 * (FLANK_DAMPING if half[j] else DAMPING) * np.sqrt(m * stiff)
+                force = needed - beyond / give[j] - (damped + STEP * stiff) * v
+                path[k, 2, j] = a = force / (m + STEP * damped + STEP**2 * stiff)
+                v += STEP * a
+                path[k + 1, :, j] = x + STEP * v, v, a
+        lags = scipy.interpolate.make_interp_spline(fine, path[:-1], 1)(t)
+        return np.moveaxis(lags, 1, 0)
 
     def now(self, motion: Trajectory, t: Array) -> Array:
         """Torque with friction and all laws, (n, nv)."""
@@ -184,6 +228,9 @@ def joint_law(
         case "presliding_hysteresis":  # of the known dry friction, which builds up
             p["reach"] = reach = rng.uniform(0.01, 0.05) * float(np.ptp(q[:, j]))
             return lambda s: drag(s.q[:, j], reach) - sign(s.dq[:, j]), p
+        case "gradual_reversal":  # of the known dry friction, which turns with speed
+            p["speed"] = speed = rng.uniform(0.02, 0.2) * fastest
+            return lambda s: np.tanh(s.dq[:, j] / speed) - sign(s.dq[:, j]), p
         case "thermal_friction_drift":
             p["time"] = time = rng.uniform(4.0, 10.0)
             return lambda s: (sign(s.dq[:, j]) + s.dq[:, j]) * np.exp(-s.t / time), p
@@ -272,6 +319,7 @@ class Drawing:
         unit = np.eye(len(self.usual))[joints].sum(axis=0)
         unit[joints[-1]] *= found.get("ratio", 1.0)
         factor = size / self.size(replace(self.plant, laws=((shape, unit),)))
+        factor = min(factor, self.plant.coulomb[joints[0]]) if kind in REVERSALS else factor
         if kind in ("torque_offset", "torque_ripple"):
             factor *= float(self.rng.choice([-1, 1]))
         return (shape, factor * unit), found | {"factor": factor}
@@ -288,6 +336,10 @@ class Drawing:
                 return list(range(nv))[-1 if kind == "payload" else 0 :]
             case "time_delay" if rng.random() < 0.5:
                 return list(range(nv))
+            case "joint_elasticity" | "backlash":  # where it shows, of what gears give at most
+                shown = [GIVES[kind][1] * self.yields(j) * (j not in taken) for j in range(nv)]
+                clear = np.flatnonzero(np.array(shown) > min(self.sizes[0], max(shown) / 2))
+                return [int(rng.choice(clear))]
         inner = kind == "encoder_offset" and nv > 2  # elsewhere it may not show
         some = range(inner, nv - inner)
         return [int(rng.choice([j for j in some if j not in taken] or some))]
@@ -315,6 +367,8 @@ class Drawing:
             case "motor_saturation":
                 high = rng.uniform(0.5, 0.9) * np.abs(self._torque(alone)).max(axis=0)
                 changed = found = {"level": np.where(unit > 0, high, np.inf)}
+            case "joint_elasticity" | "backlash":
+                changed = found = self.gear(kind, joints[0], size)
             case "gravity_direction":
                 changed = {"robot": tilted(robot, rng, rng.uniform(0.05, 0.3))}
                 found = {"gravity": changed["robot"].gravity}
@@ -337,6 +391,26 @@ class Drawing:
                 changed = {"laws": (law,)}
         return changed, found
 
+    def yields(self, j: int) -> float:
+        """Size of an elasticity of a joint without swings, over its lag at rms torque [1/rad]."""
+        more = []
+        for motion, state in zip(self.motions, self.states, strict=True):
+            lag = scipy.interpolate.make_interp_spline(self.t, 1e-3 * state.rigid[:, j], 5)
+            one = np.eye(len(self.usual))[j] / self.usual[j]
+            links = lambda t, order: motion(t, order) - lag(t, order)[:, None] * one  # noqa: B023, E731
+            more.append(self.plant.state(links, self.t).rigid - state.rigid)
+        return float((rms(np.concatenate(more)) / self.usual).max()) / 1e-3
+
+    def gear(self, kind: str, j: int, size: float) -> dict[str, Array]:
+        """Play by chance, or an elasticity of a size if that is within what gears give."""
+        low, high = GIVES[kind]
+        give = np.zeros(len(self.usual))
+        if kind == "joint_elasticity":
+            give[j] = np.clip(size / self.yields(j), low, high)
+            return {"compliance": give / self.usual}
+        give[j] = np.exp(self.rng.uniform(*np.log(GIVES[kind])))
+        return {"play": give, "compliance": FLANK * give / self.usual}
+
     def hide(self, plant: Plant, kind: str, taken: set[int]) -> tuple[Plant, Hidden]:
         """A plant with one more effect of a kind, drawn again as long as it hardly shows."""
         robot, shown = self.plant.robot, 0.0
@@ -344,7 +418,7 @@ class Drawing:
             joints = self.joints_of(kind, taken)
             changed, found = self.change(kind, joints)
             shown = self.size(replace(self.plant, **changed))
-            if shown > 0.99 * self.sizes[0]:
+            if shown > 0.99 * self.sizes[0] or kind in GIVES:
                 break
         if kind in FRICTION:  # what is hidden is all by which the given friction is off there
             known = kind.removesuffix("_friction")
@@ -353,6 +427,8 @@ class Drawing:
             changed[known] = own
         if "laws" in changed:
             changed["laws"] = (*plant.laws, *changed["laws"])
+        for name in {"play", "compliance"} & changed.keys():
+            changed[name] = getattr(plant, name) + changed[name]
         if "robot" in changed:  # bodies add up, and gravity stays turned
             phi = plant.robot.phi + changed["robot"].phi - robot.phi
             tilt = changed["robot"] if kind == "gravity_direction" else plant.robot
