@@ -3,7 +3,7 @@
 One record per stage. The docstring of a field states the unit, the inequality that the value enters
 and where the value comes from; "convention" marks one for which no derivation is recorded. What
 those of a diagnosis do is measured by ``benchmarks/diagnosis.py``, those of discrimination by its
-``--settle``, those of resolution by ``benchmarks/arms.py``.
+``--settle``, those of resolution by ``tests/analysis/test_structure.py``.
 """
 
 from dataclasses import dataclass

@@ -1,28 +1,19 @@
-"""Whether any serial arm loads, gets a motion within its limits, and shows its parameters by it."""
+"""Serial arms of example-robot-data, and arms of which everything is known."""
 
 import os
 import site
-import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
-import common
 import numpy as np
 import pinocchio as pin
 
-from excitant.analysis.identifiability import analyze
-from excitant.analysis.uncertainty import NOT_SHOWN
-from excitant.design import design_trajectory
-from excitant.exceptions import ExcitantError, Infeasible
-from excitant.robots import BaseParameters, Motion, Robot, base_parameters, load_robot, torque
+from excitant.robots import BaseParameters, Motion, Robot, base_parameters, load_robot
 from excitant.robots.chains import RobotSpec
 from excitant.robots.effects import standard_effects
-from excitant.robots.geometry import scene
 
 ASSUMED = {"velocity": 1.5, "acceleration": 10.0}  # rad/s or m/s, rad/s² or m/s²
-NOISE = 0.01  # of each joint's largest torque in the motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,92 +123,16 @@ ARMS = (
 )
 
 
-def name_of(arm: RobotSpec) -> str:
-    ends = "..".join(filter(None, (arm.base, arm.tip)))
-    return f"{Path(arm).stem} {ends or '+'.join((arm.joints or ())[:: len(DUAL) - 1])}".strip()
-
-
-def with_assumed_limits(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
-    limits, assumed = robot.limits, []
+def with_assumed_limits(robot: Robot) -> Robot:
+    """The arm with limits where its description has none."""
+    limits = robot.limits
     slides = ~robot.revolute & ~np.isfinite(limits.position).all(axis=1)
     if slides.any():
         position = np.where(slides[:, None], [-0.5, 0.5], limits.position)
-        limits, assumed = replace(limits, position=position), ["range"]
+        limits = replace(limits, position=position)
     for name, value in ASSUMED.items():
         missing = np.isinf(getattr(limits, name))
         if name == "acceleration":
             missing &= np.isinf(limits.torque)
-        if missing.any():
-            limits = replace(limits, **{name: np.where(missing, value, getattr(limits, name))})
-            assumed.append(name)
-    return robot.with_limits(limits), tuple(assumed)
-
-
-def attempt(arm: RobotSpec, time_limit: float) -> tuple[str, str]:
-    """Load, design, check, analyze: the figures as text, and ``ok`` or why not."""
-    start, figures = time.perf_counter(), ""
-    try:
-        robot = load_robot(arm)
-        kinds = "".join("R" if turns else "P" for turns in robot.revolute)
-        figures = f"{kinds:10} {time.perf_counter() - start:6.2f}"
-        robot, assumed = with_assumed_limits(robot)
-        more, verdict = designed(robot, time_limit)
-        extra = f" (assumed: {', '.join(assumed)})" if assumed else ""
-        return figures + more + extra, verdict
-    except ExcitantError as error:
-        return figures, str(error).replace(f"{Path(arm).parent}/", "")
-
-
-def designed(robot: Robot, time_limit: float) -> tuple[str, str]:
-    options = {"starts": 1, "jobs": 1, "time_limit": time_limit}
-    note = ""
-    try:
-        found = design_trajectory(robot, scene=scene(robot), **options)
-    except Infeasible:
-        found, note = design_trajectory(robot, scene=(), **options), " (without clearance)"
-    motion = found.trajectory.motion(50.0)
-    noise = np.maximum(NOISE * np.abs(torque(robot, motion)).max(axis=0), 1e-6)
-    shown = analyze(
-        robot, effects=standard_effects(robot.joints), motion=motion, noise=noise.tolist()
-    )
-    unseen = sum(p.verdict == NOT_SHOWN for p in shown.practical)
-    thin = len(shown.structure.close)
-    figures = f" {found.condition_final:8.3g} {len(found.base):4d} {thin:4d} {unseen:6d}{note}"
-    held = found.limits.hold
-    return figures, "a limit is exceeded" if not held else "not all shown" if unseen else "ok"
-
-
-def main(
-    *,
-    data: str | None = None,
-    also: Sequence[str] = (),
-    only: Sequence[str] = (),
-    time_limit: float = 5.0,
-) -> int:
-    """Load, design, check and analyze every arm.
-
-    Args:
-        data: Folder of example-robot-data's robots.
-        also: Other arms, each FILE or FILE@TIP or FILE@BASE:TIP.
-        only: Parts of names.
-        time_limit: Of each design [s].
-    """
-    folder = data_folder(data)
-    if folder is None:
-        print("no example-robot-data: install it, or name its folder with --data")
-    chosen = [replace(arm, path=folder / arm.path) for arm in ARMS] if folder else []
-    chosen = [arm for arm in chosen if not only or any(word in name_of(arm) for word in only)]
-    chosen += map(chain, also)
-    print(f"{'arm':46} {'joints':10} load s        κ base thin unseen  verdict")
-    verdicts = []
-    for arm in chosen:
-        figures, verdict = attempt(arm, time_limit)
-        verdicts.append(verdict)
-        print(f"{name_of(arm)[:46]:46} {figures}  {verdict}", flush=True)
-    good = verdicts.count("ok")
-    print(f"{len(verdicts)} arms, {good} ok, {len(verdicts) - good} not")
-    return int(good < len(verdicts))
-
-
-if __name__ == "__main__":
-    common.run(main)
+        limits = replace(limits, **{name: np.where(missing, value, getattr(limits, name))})
+    return robot.with_limits(limits)

@@ -134,7 +134,7 @@ def judged(problem: Problem, row: Row, file: Path) -> Row:
     sigma = {"equal": np.ones_like(torque), "limit": 0.01 * torque}
     return replace(
         row,
-        **vars(found),
+        **found,
         samples=len(states.q),
         worst=use.ratio,
         worst_where=f"{use.quantity} {use.joint}",

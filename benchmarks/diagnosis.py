@@ -20,7 +20,6 @@ from threadpoolctl import threadpool_limits
 from worlds_plant import DURATION, Hidden, Plant, Rng, Trajectory
 
 from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.diagnosis_result import key
 from excitant.analysis.discrimination_plan import plan
 from excitant.design import random_trajectory
 from excitant.exceptions import Infeasible
@@ -188,27 +187,17 @@ def settled(world: Case, before: Diagnosis) -> Iterator[dict[str, Any]]:
         for repeat in range(min(max([e.repetitions or 1 for e in asking], default=0), MOST_RUNS)):
             runs.append(world.read(motion, name=f"separate-{k}-{repeat}", duration=motion.period))
     after = diagnose(world.robot, [fitted, *runs], validate=[holdout]) if runs else before
-    left = apart(after.result()["findings"])
-    named = {about(f) for f in left if f["verdict"] == "named"}
-    open_ = {frozenset((about(f), about(r))) for f in left for r in f["rivals"]}
+    named = {(f.effect.name, *f.effect.joints) for f in after.findings if f.verdict == "named"}
+    doubtful = {(f.effect.name, *f.effect.joints) for f in after.findings if f.rivals}
     for finding in before.findings:
         for rival in finding.rivals:
             pair = (finding.effect, rival.candidate.effect)
-            advice, ends = proposed.experiments.get(key(*pair)), [(e.name, *e.joints) for e in pair]
-            true = [end for end in ends if is_true(end, world)]
-            kept = [end for end in ends if end in named]
-            wrong = [end for end in kept if end not in true]
-            decided = bool(kept) or (
-                not true and not any(end in said for end in ends for said in open_)
-            )
-            how = "action" if advice is None or advice.file is None else "motion"
-            became = "wrong" if wrong else "right" if decided else "open"
-            yield {"pair": ends, "true": true, "how": how, "became": became}
-
-
-def about(finding: dict[str, Any]) -> tuple[str, ...]:
-    """Name and joints of a finding or of a rival."""
-    return (finding["effect"], *finding["joints"])
+            ends = {(effect.name, *effect.joints) for effect in pair}
+            true = {end for end in ends if is_true(end, world)}
+            decided = ends & named or not (true or ends & doubtful)
+            became = "wrong" if (ends & named) - true else "right" if decided else "open"
+            how = "motion" if proposed.of(*pair).file else "action"
+            yield {"pair": sorted(ends), "true": sorted(true), "how": how, "became": became}
 
 
 def is_true(end: tuple[str, ...], world: Case) -> bool:

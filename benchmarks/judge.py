@@ -24,15 +24,6 @@ class States:
     ddq: Array
 
 
-@dataclass(frozen=True)
-class Conditioning:
-    """Condition numbers of a motion, and the number of base parameters."""
-
-    left: float
-    proj: float
-    base: int
-
-
 def read_motion(path: Path) -> States:
     """States of a table ``t,q1..,dq1..,ddq1..``."""
     table = np.loadtxt(path, delimiter=",", skiprows=1)
@@ -78,14 +69,14 @@ def left_columns(W: Array) -> npt.NDArray[np.intp]:
     return np.array(chosen)
 
 
-def conditioning(model: Any, limits: dict[str, Any], states: States) -> Conditioning:
+def conditioning(model: Any, limits: dict[str, Any], states: States) -> dict[str, Any]:
+    """Condition numbers of a motion, and the number of base parameters."""
     reference = observation(model, random_states(limits, np.random.default_rng(0)))
     W, columns = observation(model, states), left_columns(reference)
     _, sizes, Vt = np.linalg.svd(reference, full_matrices=False)
     row_space = Vt[sizes > _INDEPENDENT * sizes[0]].T
-    return Conditioning(
-        float(np.linalg.cond(W[:, columns])), float(np.linalg.cond(W @ row_space)), len(columns)
-    )
+    left, proj = (float(np.linalg.cond(x)) for x in (W[:, columns], W @ row_space))
+    return {"left": left, "proj": proj, "base": len(columns)}
 
 
 @dataclass(frozen=True)

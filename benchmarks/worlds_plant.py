@@ -536,7 +536,7 @@ def drawn_arm(rng: Rng) -> Robot:
     for _ in range(20 if folder and rng.random() < 0.5 else 0):
         other = OTHERS[int(rng.integers(len(OTHERS)))]
         try:
-            robot, _ = with_assumed_limits(load_robot(replace(other, path=folder / other.path)))
+            robot = with_assumed_limits(load_robot(replace(other, path=folder / other.path)))
             perturbed(robot, rng, 0.0)
             if robot.nv >= 4 and robot.revolute.all():
                 return robot
