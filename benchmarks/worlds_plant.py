@@ -33,6 +33,7 @@ GIVES = {"joint_elasticity": (1e-3, 2e-2), "backlash": (1e-3, 1e-2)}  # at rms t
 FLANK = 0.3  # what flanks give at rms torque, of the play
 DAMPING, FLANK_DAMPING = 0.1, 0.5  # of elastic gears and of flanks, relative to critical damping
 STEP, SETTLING = 1e-3, 0.5  # of the integration of links behind gears [s]
+READING = 8  # of these steps, over which drives average: knocks of flanks are shorter
 
 FRICTION = ("coulomb_friction", "viscous_friction")
 BODIES = ("inertial_parameters", "payload")
@@ -158,8 +159,8 @@ class Plant:
                 path[k, 2, j] = a = force / (m + STEP * damped + STEP**2 * stiff)
                 v += STEP * a
                 path[k + 1, :, j] = x + STEP * v, v, a
-        lags = scipy.interpolate.make_interp_spline(fine, path[:-1], 1)(t)
-        return np.moveaxis(lags, 1, 0)
+        means = scipy.ndimage.uniform_filter1d(path[:-1], READING, axis=0)
+        return np.moveaxis(scipy.interpolate.make_interp_spline(fine, means, 1)(t), 1, 0)
 
     def now(self, motion: Trajectory, t: Array) -> Array:
         """Torque with friction and all laws, (n, nv)."""

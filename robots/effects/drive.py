@@ -37,10 +37,8 @@ RIPPLE_CANDIDATES = 3  # orders at each joint, the best of all
 MOST_ORDERS = 600
 ORDERS_AT_ONCE = 30  # which fit into the processor's cache
 SPECTRUM = 256  # samples of each stretch of which power is averaged
-NOISE_BAND, NOISE_RISE = (
-    4.0,
-    3.0,
-)  # times a frequency, and its power, that noise exceeds
+NOISE_BAND = 4.0  # times a frequency, up to which noise is looked for
+NOISE_RISE = 3.0  # times the power at that frequency, which noise exceeds
 SLOW_RIPPLE = 3.0  # periods per turn, below which a ripple is as smooth as a spring
 DEPENDENT = 1e-8  # determinant of two unit columns of which nothing is left
 SLOWEST_MEDIAN = 1e-3  # rad/s
@@ -422,11 +420,11 @@ def play(t: Array, acceleration: Array, gap: float) -> Array:
     pulls = (np.flatnonzero(acceleration < 0), np.flatnonzero(acceleration > 0))
     steps = np.diff(t, prepend=t[0]).tolist()
     gives = acceleration.tolist()
-    lag = half * float(np.sign(acceleration[0]) or 1.0)
+    lag = half * (np.sign(acceleration[0]) or 1.0)
     k = 0
     while k < n:
         # instants that pull the link away from this end of the gap
-        leaves = pulls[lag < 0]
+        leaves = pulls[int(lag < 0)]
         at = int(np.searchsorted(leaves, max(k, 1)))
         free = int(leaves[at]) if at < len(leaves) else n
         lags[k:free] = lag

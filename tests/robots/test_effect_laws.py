@@ -255,7 +255,7 @@ def test_backlash_changes_flank_with_the_load(ur10: Robot) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_play_stays_in_the_gap_and_on_the_flank_that_the_load_presses(seed: int) -> None:
-    rng, gap = np.random.default_rng(seed), 0.01
+    rng, gap = np.random.default_rng(seed), np.float64(0.01)
     t = np.arange(0, 10, 2e-3)
     a = np.sin(np.outer(t, rng.uniform(1, 6, 4)) + rng.uniform(0, 6.28, 4)) @ rng.uniform(1, 9, 4)
     lag = play(t, a, gap)
