@@ -477,7 +477,7 @@ class Drawing:
                 changed, found = {"robot": turned}, {"gravity": turned.gravity}
                 effect = "gravity_direction"
             case "zero position":
-                j = int(rng.integers(1, nv - 1))  # elsewhere it may not show
+                j = int(rng.integers(1, max(2, nv - 1)))  # elsewhere it may not show
                 angles = [np.pi / 2, -np.pi / 2, np.pi, rng.uniform(-np.pi, np.pi)]
                 angle = float(rng.choice(angles))
                 changed, found = {"offset": angle * np.eye(nv)[j]}, {"angle": angle}
