@@ -127,9 +127,8 @@ def with_assumed_limits(robot: Robot) -> Robot:
     """The arm with limits where its description has none."""
     limits = robot.limits
     slides = ~robot.revolute & ~np.isfinite(limits.position).all(axis=1)
-    if slides.any():
-        position = np.where(slides[:, None], [-0.5, 0.5], limits.position)
-        limits = replace(limits, position=position)
+    position = np.where(slides[:, None], [-0.5, 0.5], limits.position)
+    limits = replace(limits, position=position)
     for name, value in ASSUMED.items():
         missing = np.isinf(getattr(limits, name))
         if name == "acceleration":

@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 from worlds_plant import DURATION, Hidden, Plant, Rng, Trajectory
 
 from excitant.analysis.diagnosis import Diagnosis, diagnose
+from excitant.analysis.diagnosis_result import key
 from excitant.analysis.discrimination_plan import plan
 from excitant.design import random_trajectory
 from excitant.exceptions import Infeasible
@@ -196,7 +197,8 @@ def settled(world: Case, before: Diagnosis) -> Iterator[dict[str, Any]]:
             true = {end for end in ends if is_true(end, world)}
             decided = ends & named or not (true or ends & doubtful)
             became = "wrong" if (ends & named) - true else "right" if decided else "open"
-            how = "motion" if proposed.of(*pair).file else "action"
+            how = proposed.experiments.get(key(*pair))
+            how = "nothing" if how is None else "motion" if how.file else "action"
             yield {"pair": sorted(ends), "true": sorted(true), "how": how, "became": became}
 
 
@@ -330,10 +332,10 @@ def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
     yield ""
     yield from (f"{label:44s} {wilson(hits):>12s} % of {len(hits)}" for label, hits in rows)
     if pairs := [pair for r in done for pair in r.get("settled", ())]:
-        for how in ("motion", "action"):
+        for how in ("motion", "action", "nothing"):
             here = [pair["became"] for pair in pairs if pair["how"] == how]
             counts = [f"{x} {wilson([y == x for y in here])} %" for x in ("right", "wrong", "open")]
-            yield f"undecided pairs that a {how} is to settle: {len(here)}; {', '.join(counts)}"
+            yield f"undecided pairs to be settled by {how}: {len(here)}; {', '.join(counts)}"
     if done and all(len(r["hidden"]) == 1 for r in done):
         yield confusion(done)
     yield "\nsize [%]      effects     named [%]     found [%]"

@@ -9,7 +9,6 @@ import common
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
-from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
 from excitant.identify import identify_robot, read_recordings
@@ -56,7 +55,7 @@ def main(*, samples: int = 10_000_000) -> None:
         samples: Number of samples of the log.
     """
     robot = load_robot("panda")
-    with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
+    with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "log.parquet"
         # in a process of its own, whose memory does not count
         writing = get_context("spawn").Process(target=write, args=(path, "panda", samples))

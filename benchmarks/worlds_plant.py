@@ -320,7 +320,9 @@ class Drawing:
         unit = np.eye(len(self.usual))[joints].sum(axis=0)
         unit[joints[-1]] *= found.get("ratio", 1.0)
         factor = size / self.size(replace(self.plant, laws=((shape, unit),)))
-        factor = min(factor, self.plant.coulomb[joints[0]]) if kind in REVERSALS else factor
+        if kind in REVERSALS:  # a part of presliding, all of what turns with speed
+            most = self.plant.coulomb[joints[0]]
+            factor = most if kind == "gradual_reversal" else min(factor, most)
         if kind in ("torque_offset", "torque_ripple"):
             factor *= float(self.rng.choice([-1, 1]))
         return (shape, factor * unit), found | {"factor": factor}
