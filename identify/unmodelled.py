@@ -238,8 +238,9 @@ def allowing_for_springs(
     of_links, of_joints = np.split(
         agreement(scaled, z, bodies, size.shape[1], own), 2
     )
-    # bodies need not be off by more where springs may act too
-    of_links = np.minimum(of_links, sigma)
+    # all bodies together need not be off by more where springs may act too
+    common = of_links == of_links.min()
+    of_links = np.where(common, np.minimum(of_links, sigma.min()), of_links)
     instead = moved & (of_links == of_links.min())
     joints = np.flatnonzero(of_joints) if instead.any() else np.array([*seen], int)
     if not len(joints):
