@@ -39,7 +39,7 @@ from excitant.robots.effects import (
     merged,
 )
 from excitant.robots.effects.body import GivenInertias
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, root_mean_square
 from excitant.robots.parameters import from_pseudo_inertia
 from excitant.robots.robot import Robot
 from excitant.robots.torque import column_names, effect_values
@@ -239,7 +239,7 @@ class Holdout(HoldOut):
         """Rms of an error over the joints that turn or slide as a leading one does."""
         revolute = self.robot.revolute
         alike = [j for j in joints if revolute[j] == revolute[lead]]
-        return float(np.sqrt((self.series.rms(error)[alike] ** 2).mean()))
+        return float(root_mean_square(self.series.rms(error)[alike]))
 
 
 def holdout_of(
@@ -728,7 +728,7 @@ def finding_of(
     margin -= max(CONFIRMATION.floor, CONFIRMATION.deviations * scale.gain_std)
     # what depends on the model looks like noise of positions
     plain = scale.gain > CONFIRMATION.plain and not effect.physics.on_model
-    rms = np.sqrt(((torque * rows.moves) ** 2).mean(axis=0))
+    rms = root_mean_square(torque * rows.moves)
     # noise is no larger than what is left
     visible = plain or (rms > np.minimum(holdout.floor, rows.rms(error))).any()
     if not visible or share < CONFIRMATION.faint:

@@ -31,7 +31,7 @@ from excitant.analysis.thresholds import VERDICT
 from excitant.identify.accuracy import Accuracy
 from excitant.identify.rows import states
 from excitant.robots.effects import Effect, plain, separating_experiment
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, root_mean_square
 
 if TYPE_CHECKING:
     from excitant.analysis.diagnosis import Diagnosis
@@ -241,7 +241,9 @@ def _parameters(finding: Finding, diagnosis: Diagnosis) -> Iterator[Entry]:
 
 def _unknown(diagnosis: Diagnosis, residuals: Sequence[Residual]) -> Entry:
     """What no cause explains, of all joints at once."""
-    rms = float(np.sqrt(np.mean([residual.rms**2 for residual in residuals])))
+    rms = float(
+        root_mean_square(np.array([residual.rms for residual in residuals]))
+    )
     joint = diagnosis.robot.joint_index(residuals[0].joint)
     return {
         "effect": "unknown",

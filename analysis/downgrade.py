@@ -9,6 +9,7 @@ from excitant.analysis.residuals import Residual
 from excitant.analysis.selection import is_plain_friction
 from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, VERDICT
 from excitant.robots.effects import Effect, plain
+from excitant.robots.motion import root_mean_square
 from excitant.robots.robot import Robot
 
 
@@ -96,7 +97,7 @@ def _below_residual(finding: Finding, residuals: Sequence[Residual]) -> str:
         )
         / noise
     )
-    size = np.sqrt((finding.torque**2).mean(axis=0)) / noise
+    size = root_mean_square(finding.torque) / noise
     main = size > (0.0 if several else VERDICT.main_joint * size.max())
     share = VERDICT.residual_share if several else VERDICT.own_residual_share
     if (unknown[main] ** 2).sum() <= share * (size[main] ** 2).sum():

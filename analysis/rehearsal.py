@@ -26,7 +26,7 @@ from excitant.names import listed
 from excitant.results import Requirement
 from excitant.robots.effects import EFFECTS, Effect, plain, standard_effects
 from excitant.robots.geometry import CLEARANCE, Scene, usual_scene
-from excitant.robots.motion import Array, Motion, read_only
+from excitant.robots.motion import Array, Motion, read_only, root_mean_square
 from excitant.robots.plant.planting import plant
 from excitant.robots.plant.sensors import Run
 from excitant.robots.robot import Robot
@@ -254,13 +254,10 @@ def _other_motions(
     W = observation_columns(robot, standard_effects(robot.joints), motion)[
         :, :, base.columns
     ]
-    torque = np.sqrt(np.mean((W @ beta) ** 2, axis=0))
-    share = (
-        np.sqrt(np.mean((W @ (estimate.least_squares.beta - beta)) ** 2, axis=0))
-        / torque
-    )
+    torque = root_mean_square(W @ beta)
+    share = root_mean_square(W @ (estimate.least_squares.beta - beta)) / torque
     j = int(share.argmax())
-    unsure = np.sqrt(np.mean(W[:, j] ** 2, axis=0)) * _std(estimate)
+    unsure = root_mean_square(W[:, j]) * _std(estimate)
     weak = base.names[base.columns[int(unsure.argmax())]]
     size = f"rms error {100 * share[j]:.2g} % of the torque at half the limits"
     advice = situation.faster(lack=float(share[j] / _ELSEWHERE))

@@ -22,7 +22,7 @@ from excitant.identify.preprocessing import (
     position_cutoff,
     top_speed,
 )
-from excitant.robots.motion import Array, power_density
+from excitant.robots.motion import Array, power_density, root_mean_square
 from excitant.robots.regressor import torque_derivatives
 from excitant.robots.robot import Robot
 
@@ -240,11 +240,11 @@ def residuals(
         of_joints.append(
             Residual(
                 joint,
-                rms=float(np.sqrt((e**2).mean())),
+                rms=float(root_mean_square(e)),
                 floor=max(
                     noise_floor(segments, j), _fast(error[:, j], 1 / step, cutoff)
                 ),
-                given=float(np.sqrt((nominal_error[at, j] ** 2).mean())),
+                given=float(root_mean_square(nominal_error[at, j])),
                 correlation_s=float(autocorrelation_time(e) * step),
                 shares=shares(error[:, j], by, j, at),
             )

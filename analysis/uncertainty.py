@@ -34,7 +34,7 @@ from excitant.robots.base_parameters import (
     regroup,
 )
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Mask, Motion
+from excitant.robots.motion import Array, Mask, Motion, root_mean_square
 from excitant.robots.parameters import pseudo_inertia
 from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values, observation_columns, torque
@@ -159,7 +159,7 @@ def motion_information(
         covariance = half @ half.T
     plain = np.linalg.qr(W[:, :, columns].reshape(-1, len(base)), mode="r")
     condition = float(np.linalg.cond(plain)) if seen.all() else np.inf
-    signal = (np.sqrt((W**2).mean(axis=0)) / sigma[:, None]).max(axis=0)
+    signal = (root_mean_square(W) / sigma[:, None]).max(axis=0)
     return MotionInformation(R, columns, covariance, signal, condition)
 
 

@@ -9,7 +9,14 @@ import numpy as np
 from excitant.design.constraints import position_range
 from excitant.design.criterion import Information, information
 from excitant.exceptions import BadInput
-from excitant.robots.motion import Array, Indices, Mask, Motion, numbered
+from excitant.robots.motion import (
+    Array,
+    Indices,
+    Mask,
+    Motion,
+    numbered,
+    root_mean_square,
+)
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
 
@@ -326,7 +333,7 @@ def relaxation(robot: Robot, columns: str, top: float) -> Relaxation:
     turning = np.flatnonzero(felt & robot.revolute)
     sliding = np.flatnonzero(felt & ~robot.revolute)
     tests = TestFunctions(turning, sliding)
-    tests = replace(tests, scale=np.sqrt((tests.rates(motion) ** 2).mean(axis=0)))
+    tests = replace(tests, scale=root_mean_square(tests.rates(motion)))
     return Relaxation(
         visible, space, odd, tests, float((Y**2).sum(axis=(1, 2)).mean())
     )

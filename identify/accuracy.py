@@ -17,7 +17,7 @@ from excitant.identify.least_squares import (
 )
 from excitant.identify.preprocessing import Mask, Segment, away_from_rest
 from excitant.identify.signals import noise
-from excitant.robots.motion import Array, Noun, read_only
+from excitant.robots.motion import Array, Noun, read_only, root_mean_square
 
 if TYPE_CHECKING:
     from excitant.identify.rows import Poses
@@ -115,7 +115,7 @@ class Series:
             rms_raw,
             nrmse,
             1 - nrmse**2,
-            rms_all=np.sqrt((error**2).mean(axis=0)),
+            rms_all=root_mean_square(error),
             judged=self.moves.mean(axis=0),
         )
 

@@ -27,7 +27,13 @@ from excitant.identify.regression import DEPENDENT
 from excitant.identify.rows import Data, states
 from excitant.identify.signals import mean_noise
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Motion, read_only
+from excitant.robots.motion import (
+    Array,
+    Motion,
+    quotient,
+    read_only,
+    root_mean_square,
+)
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
 
@@ -66,10 +72,8 @@ def acceleration_noise(segments: Sequence[Segment]) -> Array:
 def coarseness(segments: Sequence[Segment]) -> Array:
     """That noise over the rms of each joint's acceleration, filtered as torque, shape (nv,)."""
     filtered = [s.filtered(s.motion.ddq, s.keep) for s in segments]
-    size = np.sqrt((np.concatenate(filtered) ** 2).mean(axis=0))
-    return np.divide(
-        acceleration_noise(segments), size, out=np.zeros_like(size), where=size > 0
-    )
+    size = root_mean_square(np.concatenate(filtered))
+    return quotient(acceleration_noise(segments), size)
 
 
 def attenuation(

@@ -54,7 +54,7 @@ from excitant.identify.prior import (
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Index, Regression, triangle
 from excitant.identify.signals import live
-from excitant.robots.motion import Array, Noun
+from excitant.robots.motion import Array, Noun, root_mean_square
 from excitant.robots.robot import Robot
 
 GAIN_STD = 0.5  # relative, of drives of one arm: decides only what data leave open
@@ -397,7 +397,7 @@ def payload_gains(
     empty = np.pad(free.W, ((0, 0), (0, 0), (0, own.shape[1])))
     carrying = np.concatenate([loaded.W, loaded.W @ own], axis=2)
     columns = np.concatenate([empty, carrying])
-    size = np.sqrt((columns[:, :, :-1] ** 2).mean(axis=(0, 1)))
+    size = root_mean_square(columns[:, :, :-1], axis=(0, 1))
     columns[:, :, :-1] /= np.where(size > 0, size, 1.0)
     current = np.concatenate([free.tau, loaded.tau])
     rows = np.dstack([columns, current]).transpose(1, 0, 2)

@@ -28,7 +28,7 @@ import scipy
 
 from excitant.exceptions import RankDeficient
 from excitant.identify.regression import Regression, triangle
-from excitant.robots.motion import Array, Noun
+from excitant.robots.motion import Array, Noun, quotient
 
 SMALLEST = 1e-12  # torque noise taken for none
 
@@ -209,14 +209,13 @@ def with_covariance(
     variances = np.diagonal(parts, axis1=1, axis2=2)
     squares = variances.sum(axis=0) ** 2
     spread = (variances**2 / freedom[:, None]).sum(axis=0)
-    endless = np.full(len(squares), np.inf)
-    nu = np.divide(squares, spread, out=endless, where=spread > 0)
+    nu = quotient(squares, spread, otherwise=np.inf)
     width = student_width(nu)
     covariance = parts.sum(axis=0) * np.outer(width, width)
     seen = np.array([(joint.X**2).sum() for joint in rows])  # tr(A⁻¹ A_j)
     white = seen * (sigma / factor.weight) ** 2
     coloured = np.trace(scores, axis1=1, axis2=2)
-    inflation = np.divide(coloured, white, out=np.ones_like(white), where=white > 0)
+    inflation = quotient(coloured, white, otherwise=1.0)
     return LeastSquares(beta, covariance, sigma, np.maximum(inflation, 1.0))
 
 

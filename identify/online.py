@@ -54,7 +54,7 @@ from excitant.identify.rows import effects_of, fit_rows, fitted, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect
 from excitant.robots.effects.base import Law
-from excitant.robots.motion import Array, Motion
+from excitant.robots.motion import Array, Motion, root_mean_square
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 from excitant.robots.torque import observation_columns
@@ -536,7 +536,7 @@ class Monitor:
         if not np.isfinite(P).all():
             return np.full(self.estimator.robot.nv, np.inf)
         std = torque_std(self._reference, P)
-        return np.sqrt((std**2).mean(axis=0))
+        return root_mean_square(std)
 
     def _excitation(self, estimate: OnlineEstimate) -> WindowExcitation | None:
         e = self.estimator

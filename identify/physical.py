@@ -42,7 +42,7 @@ from excitant.identify.semidefinite import (
 )
 from excitant.identify.signals import grid_minimum
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Noun, read_only
+from excitant.robots.motion import Array, Noun, quotient, read_only
 
 _UNSETTLED = (
     "the physically consistent fit ends {:.2g} standard deviations from its optimum, for the data "
@@ -105,7 +105,7 @@ class PhysicalFit(Noun):
         """Part of each parameter's uncertainty that no data reduced, shape (p,)."""
         after = np.diag(self.covariance)
         before = (self.root**2).sum(axis=1)
-        ratio = np.divide(after, before, out=np.ones_like(before), where=before > 0)
+        ratio = quotient(after, before, otherwise=1.0)
         return np.sqrt(np.clip(ratio, 0.0, 1.0))
 
     @cached_property

@@ -34,7 +34,14 @@ from excitant.exceptions import BadRobot
 from excitant.identify.information import Information, gaussian
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Mask, Motion, Noun
+from excitant.robots.motion import (
+    Array,
+    Mask,
+    Motion,
+    Noun,
+    quotient,
+    root_mean_square,
+)
 from excitant.robots.parameters import (
     PLACEHOLDER,
     PSEUDO_INERTIA_BASIS,
@@ -290,7 +297,7 @@ def needed_torque(robot: Robot, motion: Motion) -> Array:
     bodies = [isotropic(body) for body in prior_parameters(robot)]
     tau = torque(robot.with_parameters(bodies), motion)
     limit = robot.limits.torque
-    needed = np.sqrt((tau**2).mean(axis=0))
+    needed = root_mean_square(tau)
     strong = np.maximum(needed.max(), np.where(np.isfinite(limit), limit, 0.0))
     return np.maximum(needed, REFERENCE.idle * strong)
 
@@ -299,10 +306,9 @@ def _effect_sizes(robot: Robot, effects: Sequence[Effect]) -> Array:
     """Coefficients that would make as much torque as a reference motion needs, shape (e,)."""
     motion = reference_motion(robot, 10.0, 20.0)
     columns = observation_columns(robot, effects, motion)[:, :, 10 * robot.nv :]
-    size = np.sqrt((columns**2).mean(axis=0))
+    size = root_mean_square(columns)
     needed = needed_torque(robot, motion)[:, None]
-    coefficients = np.full_like(size, np.inf)
-    np.divide(needed, size, out=coefficients, where=size > 0)
+    coefficients = quotient(needed, size, otherwise=np.inf)
     smallest = coefficients.min(axis=0, initial=np.inf)
     return np.where(np.isfinite(smallest), smallest, 1.0)
 
@@ -378,7 +384,7 @@ def reached(L: Array, directions: Array, x: Array, links: int) -> Array:
     size[effects] = np.minimum(
         size[effects], np.abs(x[effects]) + 1e-6 * size[effects]
     )
-    return np.minimum(_share(spread, size), 1.0)
+    return np.minimum(quotient(spread, size), 1.0)
 
 
 def silent_columns(R: Array) -> Mask:
@@ -404,12 +410,8 @@ def linear_influence(R: Array, L: Array, x: Array, links: int) -> Array:
     random = np.arange(len(x)) < 10 * links
     reach = np.array([unseen, reached(L, Vt[weak], x, links), random])
     sizes = np.linalg.norm(L, axis=1)
-    total = _share(np.linalg.norm(moves, axis=1), sizes)
+    total = quotient(np.linalg.norm(moves, axis=1), sizes)
     weak_sizes = np.linalg.norm(directions[:, weak], axis=1)
-    weakly = _share(np.linalg.norm(moves[:, weak], axis=1), weak_sizes)
+    weakly = quotient(np.linalg.norm(moves[:, weak], axis=1), weak_sizes)
     ratio = np.array([np.ones(len(x)), weakly, total])
     return np.where(sizes > 0, follows(ratio, reach), 1.0)
-
-
-def _share(part: Array, whole: Array) -> Array:
-    return np.divide(part, whole, out=np.zeros_like(part), where=whole > 0)

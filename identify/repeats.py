@@ -36,7 +36,7 @@ from excitant.identify.preprocessing import Mask, Segment, certain_rows
 from excitant.identify.regression import Regression, regression_of
 from excitant.identify.rows import FitRows
 from excitant.robots.effects import EFFECTS, Effect, Size
-from excitant.robots.motion import Array, Noun
+from excitant.robots.motion import Array, Noun, quotient, root_mean_square
 from excitant.robots.robot import Robot
 
 FALSE_ALARM = 0.01  # of recordings of one arm, called different
@@ -142,10 +142,9 @@ def repeats_of(
     chance = scipy.special.chdtrc(
         independent * freedom.sum(), independent * off.sum()
     )
-    nothing = np.full(m, np.nan)
     return Repeats(
         names,
-        np.sqrt(np.divide(off, freedom, out=nothing, where=freedom > 0)),
+        np.sqrt(quotient(off, freedom, otherwise=np.nan)),
         float(chance),
         np.sqrt((steps**2).sum(axis=0) * m / (m - 1)),
     )
@@ -417,7 +416,7 @@ def differences(model: Robot, rows: FitRows, fit: LeastSquares) -> list[Differen
     data = rows.data
     parts = {name: rows.reduced.at(at) for name, at in recordings_in(data.train)}
     noise = 1 / noise_within(parts.values(), fit)
-    size = np.sqrt((rows.tau**2).mean(axis=0))
+    size = root_mean_square(rows.tau)
     known = _Fit(model, rows, fit, 1 / np.hypot(noise, MODEL_ERROR * size))
     alone = {name: known.rows_of(part) for name, part in parts.items()}
     misfits = [

@@ -23,7 +23,7 @@ from excitant.identify.regression import Regression, regression_of
 from excitant.identify.signals import SensorNoise, mean_noise
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect, Parameter, standard_effects
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, quotient, root_mean_square
 from excitant.robots.parameters import UNITS
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
@@ -411,11 +411,9 @@ def units_of(
 
 def implausible_size(columns: Array, tau: Array) -> Array:
     """A hundred times the coefficient of columns, (n, nv, e), that explains all torque, (e,)."""
-    size = np.sqrt((columns**2).mean(axis=(0, 1)))
-    largest = 100 * np.sqrt((tau**2).mean())
-    std: Array = np.full(len(size), 1e3)
-    np.divide(largest, size, out=std, where=size > 0)
-    return std
+    size = root_mean_square(columns, axis=(0, 1))
+    largest = 100 * root_mean_square(tau, axis=(0, 1))
+    return quotient(largest, size, otherwise=1e3)
 
 
 def places_of(

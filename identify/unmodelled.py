@@ -52,7 +52,7 @@ from excitant.identify.shapes import REFINEMENT
 from excitant.robots.base_parameters import BaseParameters, categories
 from excitant.robots.effects import EFFECTS, Effect, Spring
 from excitant.robots.effects.sensing import LONGEST_DELAY
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array, quotient, read_only, root_mean_square
 from excitant.robots.robot import Robot
 
 IMPOSSIBLE_BY_CHANCE = 0.05
@@ -356,11 +356,11 @@ def _sizes(rows: FitRows) -> Array:
     `Agreement.least` is the share; 0 where a joint rests, and of levers at a sliding joint.
     """
     linear = _linear(rows).sum(axis=2)
-    rms = np.sqrt((linear**2).mean(axis=0))
-    stiffness = np.divide(1.0, rms, out=np.zeros_like(rms), where=rms > 0)
+    rms = root_mean_square(linear)
+    stiffness = quotient(1.0, rms)
     revolute = rows.robot.revolute.astype(float)
     terms = [stiffness, np.ones_like(rms), revolute, revolute]
-    torque = AGREEMENT.least * np.sqrt((rows.tau**2).mean(axis=0))
+    torque = AGREEMENT.least * root_mean_square(rows.tau)
     return np.column_stack(terms) * torque[:, None]
 
 

@@ -103,6 +103,19 @@ def numbered(q: Array, dq: Array, ddq: Array) -> Motion:
     return Motion(np.arange(len(q), dtype=float), q, dq, ddq)
 
 
+def root_mean_square(values: Array, axis: int | tuple[int, ...] = 0) -> Array:
+    """Root mean square along axes, in the unit of the values."""
+    return np.sqrt(np.mean(values**2, axis=axis))
+
+
+def quotient(
+    dividend: npt.ArrayLike, divisor: Array, otherwise: float = 0.0
+) -> Array:
+    """Dividend over divisor where that is positive, else a given value, each shape (...)."""
+    made = np.full(divisor.shape, otherwise)
+    return np.divide(dividend, divisor, out=made, where=divisor > 0)
+
+
 def power_density(
     values: Array, rate_hz: float, longest: int
 ) -> tuple[Array, Array]:

@@ -17,7 +17,7 @@ import pandas as pd
 import pinocchio as pin
 
 from excitant.exceptions import BadInput, BadRobot, UnknownName
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, root_mean_square
 from excitant.robots.parameters import STANDARD, elements, inertia, steiner
 from excitant.robots.plant.arm import (
     Progress,
@@ -202,13 +202,9 @@ def typical_torque(robot: Robot) -> Array:
     """Root mean square torque at moderate speeds, shape (nv,) [N·m]."""
     truth = nominal_truth(robot)
     motion = typical_motion(robot)
-    return _rms(
+    return root_mean_square(
         truth.drives.friction(motion[1]) + rigid_torque(truth.model, *motion)
     )
-
-
-def _rms(values: Array) -> Array:
-    return np.sqrt(np.mean(values**2, axis=0))
 
 
 def typical_motion(robot: Robot) -> tuple[Array, Array, Array]:
@@ -315,7 +311,7 @@ def draw_hidden_effect(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
     j = robot.joint_index(joint)
     floor = VISIBLE_NOISE * float(industrial_sensors(robot).torque_noise[j])
     torque = max(float(rng.uniform(0.08, 0.2) * typical_torque(robot)[j]), floor)
-    _, dq, ddq = (float(_rms(x[:, j])) for x in typical_motion(robot))
+    _, dq, ddq = (float(root_mean_square(x[:, j])) for x in typical_motion(robot))
     fast = min(float(robot.limits.velocity[j]), 3.0)
     sizes = {
         "viscous_friction": {"Fv": torque / dq},
@@ -361,7 +357,9 @@ def _load(robot: Robot, payload: Array) -> Array:
     phi = loaded.inertias[robot.nv].toDynamicParameters() + payload
     loaded.inertias[robot.nv] = pin.Inertia.FromDynamicParameters(phi)
     motion = typical_motion(robot)
-    return _rms(rigid_torque(loaded, *motion) - rigid_torque(robot.model, *motion))
+    return root_mean_square(
+        rigid_torque(loaded, *motion) - rigid_torque(robot.model, *motion)
+    )
 
 
 def _bearable(robot: Robot, payload: Array) -> float:

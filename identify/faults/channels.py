@@ -32,7 +32,7 @@ from excitant.identify.faults.time import hidden_gaps
 from excitant.identify.faults.torque_fit import Smooth, TorqueFit
 from excitant.identify.signals import noise, quantum
 from excitant.robots.effects.sensing import LONGEST_DELAY
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, root_mean_square
 from excitant.robots.robot import Robot
 
 _NONE: Rows = np.zeros(0, np.intp)
@@ -616,7 +616,7 @@ def _derived(log: Log, joints: Sequence[int]) -> dict[int, float]:
     rough = np.diff(np.column_stack(accelerations), 4, axis=0)[regular]
     if not len(rough):
         return {}
-    size = np.sqrt((rough**2).mean(axis=0))
+    size = root_mean_square(rough)
     rough = rough[:, size > 0] / size[size > 0]
     shares = {}
     for j in joints:

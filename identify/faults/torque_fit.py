@@ -23,7 +23,7 @@ from excitant.identify.faults.fault import Log, Remedy, Rows
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.signals import differentiated, low_pass
-from excitant.robots.motion import Array, Motion, read_only
+from excitant.robots.motion import Array, Motion, read_only, root_mean_square
 from excitant.robots.regressor import regressor, rigid_body_torque
 from excitant.robots.robot import Robot
 
@@ -101,7 +101,7 @@ def smooth(log: Log) -> Smooth | None:
     grid = np.arange(log.t[0], log.t[-1] + 1e-9 * log.step, log.step)
     rate = 1 / log.step
     span = np.std(log.q, axis=0)
-    speed = np.sqrt((log.travel**2).mean(axis=0)) / log.step
+    speed = root_mean_square(log.travel) / log.step
     moved = span > 50 * log.grain
     per_span = np.divide(speed, span, out=0 * span, where=moved)
     frequency = float(per_span.max()) / (2 * np.pi)

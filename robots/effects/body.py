@@ -21,7 +21,7 @@ from excitant.robots.effects.base import (
     registered,
 )
 from excitant.robots.effects.search import BOUND_STDS, Search, above
-from excitant.robots.motion import Array, Motion, numbered
+from excitant.robots.motion import Array, Motion, numbered, root_mean_square
 from excitant.robots.parameters import STANDARD, UNITS
 from excitant.robots.regressor import gravity_torque, regressor, rigid_body_torque
 from excitant.robots.robot import Robot
@@ -161,7 +161,7 @@ class AddedInertia(Effect):
         """
         states = robot.random_motion(np.random.default_rng(0), STATES)
         torque = self.columns(robot, numbered(*states)) * self.coefficients
-        size = np.sqrt((torque**2).mean(axis=(0, 1)))
+        size = root_mean_square(torque, axis=(0, 1))
         main = int(np.argmax(size))
         return main if size[0] < FAINT * size[main] else 0
 

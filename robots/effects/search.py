@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from excitant.robots.motion import Array, Motion
+from excitant.robots.motion import Array, Motion, root_mean_square
 
 if TYPE_CHECKING:
     from excitant.robots.effects.base import Effect
@@ -85,7 +85,7 @@ def joint_facts(
     if cutoff_hz < np.inf:  # positions pass twice the cut-off
         band = 2 * cutoff_hz
         hidden_time += 1 / (2 * np.pi * band)
-    acceleration = np.sqrt(np.mean(ddq**2, axis=0))
+    acceleration = root_mean_square(ddq)
     blur = acceleration * hidden_time**2 / 2 + REVERSAL_STDS * np.sqrt(noise * band)
     speed = np.abs(dq).max(axis=0)
     reach = np.ptp(q, axis=0)
