@@ -330,16 +330,19 @@ def _abscissa(
             f"distance since the last reversal, signed by direction [{own_unit}]"
         )
         return label, explanatory(segments, predicted).reversal[:, j]
-    q, dq, ddq = states(segments)
+    motion = states(segments)
     return {
-        "velocity": (f"joint velocity [{own_unit}/s]", dq[:, j]),
-        "other velocity": (f"velocity of {name} [{other_unit}/s]", dq[:, other]),
-        "acceleration": (f"joint acceleration [{own_unit}/s²]", ddq[:, j]),
+        "velocity": (f"joint velocity [{own_unit}/s]", motion.dq[:, j]),
+        "other velocity": (
+            f"velocity of {name} [{other_unit}/s]",
+            motion.dq[:, other],
+        ),
+        "acceleration": (f"joint acceleration [{own_unit}/s²]", motion.ddq[:, j]),
         "other acceleration": (
             f"acceleration of {name} [{other_unit}/s²]",
-            ddq[:, other],
+            motion.ddq[:, other],
         ),
-        "position": (f"joint position [{own_unit}]", q[:, j]),
+        "position": (f"joint position [{own_unit}]", motion.q[:, j]),
         "torque": (
             f"torque of the given model [{unit}]",
             diagnosis.holdout.nominal[:, j],
@@ -347,7 +350,7 @@ def _abscissa(
         "torque rate": (f"rate of torque [{unit}/s]", np.gradient(torque, t)),
         "load": (
             f"magnitude of the joint's torque, signed by direction [{unit}]",
-            abs(torque) * np.sign(dq[:, j]),
+            abs(torque) * np.sign(motion.dq[:, j]),
         ),
         "time": ("time [s]", t),
     }[domain]

@@ -33,7 +33,7 @@ from excitant.robots.effects import (
     standard_effects,
 )
 from excitant.robots.geometry import CLEARANCE, Scene, scene
-from excitant.robots.motion import Array, Motion
+from excitant.robots.motion import Array, Motion, together
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 
@@ -265,11 +265,9 @@ def _within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:
     """The arm with the ranges of a recording where it has no limits."""
     if not recorded:
         return robot
-    q = np.concatenate([motion.q for motion in recorded])
-    dq = np.concatenate([motion.dq for motion in recorded])
-    ddq = np.concatenate([motion.ddq for motion in recorded])
+    shown = together(recorded)
     limits = robot.limits
-    ranges = np.column_stack([q.min(axis=0), q.max(axis=0)])
+    ranges = np.column_stack([shown.q.min(axis=0), shown.q.max(axis=0)])
     bounded = np.isfinite(limits.position).all(axis=1, keepdims=True)
 
     def known(limit: Array, values: Array) -> Array:
@@ -279,8 +277,8 @@ def _within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:
         replace(
             limits,
             position=np.where(bounded, limits.position, ranges),
-            velocity=known(limits.velocity, dq),
-            acceleration=known(limits.acceleration, ddq),
+            velocity=known(limits.velocity, shown.dq),
+            acceleration=known(limits.acceleration, shown.ddq),
         )
     )
 
@@ -368,7 +366,7 @@ def _friction(
 
 def _surroundings(diagnosis: Diagnosis) -> Scene | None:
     """The arm's own bodies, where the recording does not contradict their shapes."""
-    q = states(diagnosis.data.validate)[0]
+    q = states(diagnosis.data.validate).q
     surroundings = None
     with suppress(ValueError, RuntimeError):
         surroundings = scene(diagnosis.robot)

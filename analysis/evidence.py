@@ -27,9 +27,9 @@ import scipy
 from excitant.analysis.thresholds import EVIDENCE, SELECTION
 from excitant.identify.least_squares import autocorrelation_time, believed
 from excitant.identify.prior import placeholder_links
-from excitant.identify.regression import Index, Regression
+from excitant.identify.regression import Regression
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, frozen
+from excitant.robots.motion import Array, Indices, frozen
 from excitant.robots.robot import Robot
 
 Key = tuple[str, tuple[str, ...]]
@@ -106,7 +106,7 @@ class Evidence:
     precision: Array  # prior precision of each coordinate, shape (p,)
     nuisance: int  # number of its columns
     candidates: tuple[Candidate, ...]
-    blocks: Index  # first row of each block of time
+    blocks: Indices  # first row of each block of time
     tests: int  # among which the level is divided
     by_share: bool  # bound the false discovery rate (Benjamini and Gavrilov 2009), not any alarm
     sigma: Array  # noise of each joint [N·m], shape (nv,)
@@ -238,7 +238,7 @@ class Evidence:
         return np.array(rises)
 
     @cached_property
-    def _by_size(self) -> list[tuple[Index, Index]]:
+    def _by_size(self) -> list[tuple[Indices, Indices]]:
         """Candidates of the same number of coefficients k, and their columns, (c,) and (c, k)."""
         sizes = np.array([c.size for c in self.candidates], np.intp)
         starts = np.array([c.columns.start for c in self.candidates], np.intp)
@@ -330,7 +330,7 @@ class Evidence:
         fall = float(remaining @ np.linalg.lstsq(G, remaining, rcond=1e-9)[0])
         return fall, len(remaining) - len(used)
 
-    def acting(self, cause: Candidate) -> Iterator[tuple[int, Index]]:
+    def acting(self, cause: Candidate) -> Iterator[tuple[int, Indices]]:
         """Joints on which a cause acts, each with the indices of its columns among the joint's."""
         for j, at in enumerate(self.problem.index):
             here = np.flatnonzero(
@@ -339,7 +339,7 @@ class Evidence:
             if len(here):
                 yield j, here
 
-    def active(self, chosen: Sequence[Candidate]) -> Index:
+    def active(self, chosen: Sequence[Candidate]) -> Indices:
         """Active columns of a set: those of the nuisance and of its candidates."""
         columns = (slice(0, self.nuisance), *(c.columns for c in chosen))
         return np.concatenate(
@@ -505,7 +505,7 @@ def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
     )
 
 
-def _typical_deviation(evidence: Evidence, part: Index, robot: Robot) -> float:
+def _typical_deviation(evidence: Evidence, part: Indices, robot: Robot) -> float:
     """Typical deviation of given values from what the data say, all else as free as the data are.
 
     The median of squares: a few values may be any. Few directions do not make it smaller than 1.

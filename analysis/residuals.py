@@ -15,14 +15,19 @@ import numpy as np
 from excitant.analysis.thresholds import STRUCTURED
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.preprocessing import (
-    Index,
-    Mask,
     Segment,
     away_from_rest,
     position_cutoff,
     top_speed,
 )
-from excitant.robots.motion import Array, power_density, root_mean_square
+from excitant.robots.motion import (
+    Array,
+    Indices,
+    Mask,
+    power_density,
+    root_mean_square,
+    together,
+)
 from excitant.robots.regressor import torque_derivatives
 from excitant.robots.robot import Robot
 
@@ -72,10 +77,10 @@ def explanatory(segments: Sequence[Segment], load: Array) -> Explanatory:
     since = [
         since_reversal(s.motion.q, s.motion.dq, slowest)[s.keep] for s in segments
     ]
-    motions = [s.motion[s.keep] for s in segments]
+    motion = together([s.motion[s.keep] for s in segments])
     return Explanatory(
-        position=np.concatenate([m.q for m in motions]),
-        velocity=np.concatenate([m.dq for m in motions]),
+        position=motion.q,
+        velocity=motion.dq,
         load=load,
         reversal=np.concatenate(since),
         duration=float(sum(len(s.t) * (s.t[1] - s.t[0]) for s in segments)),
@@ -110,7 +115,7 @@ def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:
     rest = e - constant
     forward = (dq > 0).astype(np.intp)
 
-    def even(x: Array, bins: int) -> Index:
+    def even(x: Array, bins: int) -> Indices:
         edges = np.quantile(x, np.linspace(0, 1, bins + 1)[1:-1])
         return np.asarray(np.searchsorted(edges, x), np.intp)
 

@@ -14,7 +14,7 @@ from excitant.design.feasible import random_start
 from excitant.design.relaxation import Multipliers, Relaxation, relaxation
 from excitant.design.trajectory import FourierSeries, resting_series
 from excitant.exceptions import BadInput
-from excitant.robots.motion import Array, Motion, numbered
+from excitant.robots.motion import Array, Motion, together
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 
@@ -150,8 +150,8 @@ def lower_bound(
         support = int((weights > PRICING.support * weights.max()).sum())
         order = np.argsort(-problem.price(multipliers, states))
         kept = states[order[: 2 * support + PRICING.spare_states]]
-        states = _together([kept, worse])
-        found = _together([found, worse])
+        states = together([kept, worse])
+        found = together([found, worse])
         now = time.time()
         if progress is not None:
             progress(now - began, bound, ceiling)
@@ -190,7 +190,7 @@ def _largest_violation(
         if worst <= violation:
             break
         violation = worst
-        found = _together([found, worse])
+        found = together([found, worse])
     return violation
 
 
@@ -235,14 +235,7 @@ def _seeds(
             0, len(motion) - 1, min(len(motion), 2 * PRICING.seed_states)
         ).round()
         motions.append(motion[np.unique(rows.astype(np.intp))])
-    return _together(motions)
-
-
-def _together(motions: Sequence[Motion]) -> Motion:
-    names = ("q", "dq", "ddq")
-    return numbered(
-        *(np.concatenate([getattr(m, name) for m in motions]) for name in names)
-    )
+    return together(motions)
 
 
 def mixture_of(problem: Relaxation, states: Motion) -> tuple[Array, Multipliers]:

@@ -15,9 +15,9 @@ from excitant.identify.least_squares import (
     autocorrelation,
     autocorrelation_time,
 )
-from excitant.identify.preprocessing import Mask, Segment, away_from_rest
+from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.signals import noise
-from excitant.robots.motion import Array, Noun, read_only, root_mean_square
+from excitant.robots.motion import Array, Mask, Noun, read_only, root_mean_square
 
 if TYPE_CHECKING:
     from excitant.identify.rows import Poses

@@ -15,7 +15,6 @@ import scipy
 from excitant.exceptions import BadInput
 from excitant.identify.preprocessing import (
     POSITION_RATIO,
-    Mask,
     Segment,
     position_cutoff,
     prepare,
@@ -29,7 +28,8 @@ from excitant.identify.signals import mean_noise
 from excitant.robots.effects import Effect
 from excitant.robots.motion import (
     Array,
-    Motion,
+    Mask,
+    numbered,
     quotient,
     read_only,
     root_mean_square,
@@ -97,17 +97,18 @@ def attenuation(
         x: Their coefficients, shape (r,).
     """
     noise = acceleration_noise(segments)
-    q, dq, ddq = states(segments)
-    some = np.linspace(0, len(q) - 1, min(len(q), ROWS)).astype(int)
-    t = np.arange(float(len(some)))
+    shown = states(segments)
+    n = len(shown)
+    some = np.linspace(0, n - 1, min(n, ROWS)).astype(int)
+    shown = shown[some]
     delta = np.random.default_rng(0).standard_normal((len(some), robot.nv)) * noise
     noisy, exact = (
-        observation_columns(robot, effects, Motion(t, q[some], dq[some], a))
-        for a in (ddq[some] + delta, ddq[some])
+        observation_columns(robot, effects, numbered(shown.q, shown.dq, a))
+        for a in (shown.ddq + delta, shown.ddq)
     )
     E = (noisy - exact)[:, :, list(columns)] * used[some][:, :, None]
     score = np.einsum("njr,nj->r", E, E @ x * weight**2, optimize=True)
-    return read_only(score * len(q) / len(some))
+    return read_only(score * n / len(some))
 
 
 def without_noise(R: Array, errors: Array) -> Array:

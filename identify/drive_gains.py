@@ -44,7 +44,6 @@ from excitant.identify.least_squares import (
     autocorrelation_time,
     believed,
 )
-from excitant.identify.preprocessing import Mask
 from excitant.identify.prior import (
     largest_uncertainty,
     link_coordinates,
@@ -52,9 +51,9 @@ from excitant.identify.prior import (
     prior_parameters,
 )
 from excitant.identify.recording import Recording
-from excitant.identify.regression import Index, Regression, triangle
+from excitant.identify.regression import Regression, triangle
 from excitant.identify.signals import live
-from excitant.robots.motion import Array, Noun, root_mean_square
+from excitant.robots.motion import Array, Indices, Mask, Noun, root_mean_square
 from excitant.robots.robot import Robot
 
 GAIN_STD = 0.5  # relative, of drives of one arm: decides only what data leave open
@@ -228,7 +227,7 @@ def current_gains(
 
 
 def _solved(
-    joints: Sequence[Array], owner: Index, first: Array, least: float
+    joints: Sequence[Array], owner: Indices, first: Array, least: float
 ) -> tuple[Array, Array]:
     """Logarithms of gains, shape (nv,), and their covariance.
 
@@ -294,7 +293,7 @@ class _Reduced:
         mean = np.full((1, nv), 1 / nv)
         return np.vstack([(np.eye(nv) - mean) / GAIN_STD, mean / SCALE_STD])
 
-    def rows(self, log_gains: Array) -> tuple[Array, Array, Array, Index]:
+    def rows(self, log_gains: Array) -> tuple[Array, Array, Array, Indices]:
         """Weighted A, g and i, priors of the errors below them, and the joint of each row."""
         stacked = np.vstack(
             [T / s for T, s in zip(self.triangles, self.noise, strict=True)]

@@ -31,7 +31,7 @@ from excitant.identify.poses import (
     pose_segment,
     scatter,
 )
-from excitant.identify.preprocessing import Mask, Segment, prepare
+from excitant.identify.preprocessing import Segment, prepare
 from excitant.identify.prior import (
     BodyPrior,
     placeholder_links,
@@ -85,7 +85,7 @@ from excitant.robots.base_parameters import (
     categories,
 )
 from excitant.robots.effects import Effect, plain
-from excitant.robots.motion import Array, Motion, read_only
+from excitant.robots.motion import Array, Mask, Motion, read_only
 from excitant.robots.parameters import BaseEstimate, is_covariance, violations
 from excitant.robots.robot import Robot
 from excitant.robots.shown import Shown, Table, data_frame, share

@@ -33,7 +33,7 @@ from excitant.identify.objections import (
     of_data,
     useless_joints,
 )
-from excitant.identify.preprocessing import Mask, Segment
+from excitant.identify.preprocessing import Segment
 from excitant.identify.refit import Refit
 from excitant.identify.repeats import unsure_zeros
 from excitant.identify.rows import predicted_torque
@@ -45,7 +45,7 @@ from excitant.robots.effects import (
     turning,
     turning_speed,
 )
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, Mask
 from excitant.robots.parameters import inertia
 from excitant.robots.robot import Robot
 from excitant.robots.urdf_writer import current_urdf

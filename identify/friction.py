@@ -50,8 +50,8 @@ class FrictionCurve(Noun):
 
 def friction_curves(estimate: Estimate) -> tuple[FrictionCurve | None, ...]:
     """Friction of each joint by its velocity as estimated; None where none was."""
-    _, velocity, _ = states(estimate.data.validate)
-    velocity = estimate.holdout.in_motion(velocity)
+    motion = states(estimate.data.validate)
+    velocity = estimate.holdout.in_motion(motion.dq)
     return tuple(
         _friction_curve(estimate, j, velocity[:, j])
         for j in range(estimate.given.nv)

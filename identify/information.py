@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 from scipy.linalg import lapack
 
-from excitant.robots.motion import Array, Noun
+from excitant.robots.motion import Array, Indices, Noun
 
 TOGETHER = 8  # rows that are taken at once
 _PANEL = 8  # columns that LAPACK takes at a time
@@ -94,7 +93,7 @@ class InformationFilter:
     Rows wait until several can be taken at once, which costs hardly more than one.
     """
 
-    def __init__(self, columns: npt.NDArray[np.intp], p: int) -> None:
+    def __init__(self, columns: Indices, p: int) -> None:
         self.columns = columns
         self.p = p
         self._picked = np.append(columns, -1)

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.exceptions import BadInput, BadRecording
@@ -38,12 +37,7 @@ from excitant.identify.information import (
     combined,
 )
 from excitant.identify.least_squares import LeastSquares, autocorrelation_time
-from excitant.identify.preprocessing import (
-    Mask,
-    dry_joints,
-    resampled,
-    uninterrupted,
-)
+from excitant.identify.preprocessing import dry_joints, resampled, uninterrupted
 from excitant.identify.prior import (
     BasePrior,
     base_prior,
@@ -54,7 +48,7 @@ from excitant.identify.rows import effects_of, fit_rows, fitted, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect
 from excitant.robots.effects.base import Law
-from excitant.robots.motion import Array, Motion, root_mean_square
+from excitant.robots.motion import Array, Indices, Mask, Motion, root_mean_square
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 from excitant.robots.torque import observation_columns
@@ -399,7 +393,7 @@ class OnlineEstimator:
 
 def _acting_columns(
     robot: Robot, effects: Sequence[Effect], base: BaseParameters
-) -> list[npt.NDArray[np.intp]]:
+) -> list[Indices]:
     """Base columns that can act on each joint; refuses effects that depend on the past."""
     rng = np.random.default_rng(1)
     t = np.arange(float(RANDOM_STATES))

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from excitant.exceptions import BadRecording
-from excitant.identify.preprocessing import REST, Mask
+from excitant.identify.preprocessing import REST
 from excitant.identify.reading.logs import covers
 from excitant.identify.reading.mapping import ColumnMap
 from excitant.identify.recording import Recording
 from excitant.identify.signals import noise, quantum
 from excitant.names import listed
 from excitant.robots.loading import freed, held_alone, hold
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, Mask
 from excitant.robots.robot import Robot
 
 if TYPE_CHECKING:

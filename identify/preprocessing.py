@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from excitant.exceptions import BadRecording
@@ -34,7 +33,7 @@ from excitant.identify.signals import (
     smoothed,
 )
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Motion, Noun, read_only
+from excitant.robots.motion import Array, Indices, Mask, Motion, Noun, read_only
 
 CUTOFF_HZ = 10.0  # above the motions of arms, below their structural resonances
 POSITION_RATIO = 2.0  # positions keep what the torque filter will judge
@@ -95,9 +94,6 @@ class Rest:
 
 
 REST = Rest()
-
-Mask = npt.NDArray[np.bool_]
-Index = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +274,11 @@ def position_cutoff(cutoff_hz: float, rate_hz: float) -> float:
 
 
 def _segment(
-    recording: Recording, part: Index, step: float, cutoff_hz: float, band_hz: float
+    recording: Recording,
+    part: Indices,
+    step: float,
+    cutoff_hz: float,
+    band_hz: float,
 ) -> Segment:
     grid, measured, tau, dq = resampled(recording, part)
     own_band = position_cutoff(cutoff_hz, 1 / step)
@@ -316,7 +316,7 @@ def _step(recording: Recording) -> float:
     return float(np.median(np.diff(recording.t)))
 
 
-def uninterrupted(t: Array) -> list[Index]:
+def uninterrupted(t: Array) -> list[Indices]:
     """Indices of the parts of a time series, shape (n,) [s], between its gaps."""
     steps = np.diff(t)
     breaks = np.flatnonzero(steps > longest_step(float(np.median(steps)))) + 1
@@ -329,7 +329,7 @@ def longest_step(step: float) -> float:
 
 
 def resampled(
-    recording: Recording, part: Index
+    recording: Recording, part: Indices
 ) -> tuple[Array, Array, Array, Array | None]:
     """Time, positions, torque and speeds of a part at a regular rate, that of the median step.
 

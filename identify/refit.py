@@ -28,9 +28,9 @@ import scipy
 from excitant.identify.accuracy import Series, series
 from excitant.identify.least_squares import believed
 from excitant.identify.physical import fit_physical
-from excitant.identify.preprocessing import Mask, Segment
+from excitant.identify.preprocessing import Segment
 from excitant.identify.prior import BodyPrior, EffectPrior, prior_parameters
-from excitant.identify.regression import Index, Regression, regression_of
+from excitant.identify.regression import Regression, regression_of
 from excitant.identify.rows import (
     identified_robot,
     implausible_size,
@@ -38,7 +38,7 @@ from excitant.identify.rows import (
 )
 from excitant.identify.tables import LARGE_CHANGE
 from excitant.robots.effects import EFFECTS, Effect, effect_values
-from excitant.robots.motion import Array, Motion
+from excitant.robots.motion import Array, Indices, Mask, Motion
 from excitant.robots.robot import Robot
 
 REFIT_GAIN = 0.95
@@ -194,7 +194,7 @@ class _Heir:
     """
 
     start: Array
-    kept: Index
+    kept: Indices
     bodies: Array
     effects: EffectPrior
 

@@ -17,13 +17,20 @@ from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from excitant.exceptions import BadInput
 from excitant.identify.preprocessing import Segment
 from excitant.identify.signals import live
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Motion, freeze, frozen, read_only
+from excitant.robots.motion import (
+    Array,
+    Indices,
+    Mask,
+    Motion,
+    freeze,
+    frozen,
+    read_only,
+)
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 from excitant.robots.torque import column_names
@@ -32,14 +39,11 @@ SILENT = 1e-10  # length of a column over the longest
 DEPENDENT = 1e-9  # singular value over the largest, columns of unit length
 MEMBER = 0.1  # least part of a column that is a member of a dependence
 
-Index = npt.NDArray[np.intp]
-Mask = npt.NDArray[np.bool_]
-
 
 class ActingColumns(NamedTuple):
     """Columns of torque at n instants, k of them, on the m joints where they act; else zero."""
 
-    joints: Index  # shape (m,)
+    joints: Indices  # shape (m,)
     values: Array  # shape (n, m, k)
 
     @classmethod
@@ -77,7 +81,7 @@ class Regression:
     """
 
     names: tuple[str, ...]
-    index: tuple[Index, ...]
+    index: tuple[Indices, ...]
     columns: tuple[Array, ...]
     tau: Array
     used: Mask | None = None
@@ -226,7 +230,7 @@ class Regression:
         joints = [np.column_stack([X, tau]) for X, tau in pairs]
         return tuple(frozen(both.T @ both) for both in joints)
 
-    def gram(self, weight: Array, columns: Index | None = None) -> Array:
+    def gram(self, weight: Array, columns: Indices | None = None) -> Array:
         """[W τ]ᵀ[W τ] of all p or some columns, joints weighted, shape (p + 1, p + 1)."""
         columns = np.arange(self.p) if columns is None else columns
         size = len(columns) + 1

@@ -32,11 +32,11 @@ import scipy
 from excitant.exceptions import RankDeficient
 from excitant.identify.information import Information, combined, information_of
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
-from excitant.identify.preprocessing import Mask, Segment, certain_rows
+from excitant.identify.preprocessing import Segment, certain_rows
 from excitant.identify.regression import Regression, regression_of
 from excitant.identify.rows import FitRows
 from excitant.robots.effects import EFFECTS, Effect, Size
-from excitant.robots.motion import Array, Noun, quotient, root_mean_square
+from excitant.robots.motion import Array, Mask, Noun, quotient, root_mean_square
 from excitant.robots.robot import Robot
 
 FALSE_ALARM = 0.01  # of recordings of one arm, called different

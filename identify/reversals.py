@@ -27,7 +27,7 @@ from excitant.identify.least_squares import (
     autocorrelation_time,
     weighted_least_squares,
 )
-from excitant.identify.preprocessing import Mask, certain_rows, top_speed
+from excitant.identify.preprocessing import certain_rows, top_speed
 from excitant.identify.regression import effect_columns, regression_of
 from excitant.identify.rows import Data, FitRows, counted_rows, places_of
 from excitant.robots.base_parameters import BaseParameters
@@ -38,7 +38,7 @@ from excitant.robots.effects import (
     turning,
     turning_speed,
 )
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, Mask
 from excitant.robots.robot import Robot
 
 

@@ -11,7 +11,6 @@ from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.drive_gains import DriveGains, current_gains
 from excitant.identify.preprocessing import (
     CUTOFF_HZ,
-    Mask,
     Segment,
     certain_rows,
     default_cutoff,
@@ -23,7 +22,14 @@ from excitant.identify.regression import Regression, regression_of
 from excitant.identify.signals import SensorNoise, mean_noise
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect, Parameter, standard_effects
-from excitant.robots.motion import Array, quotient, root_mean_square
+from excitant.robots.motion import (
+    Array,
+    Mask,
+    Motion,
+    quotient,
+    root_mean_square,
+    together,
+)
 from excitant.robots.parameters import UNITS
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
@@ -228,14 +234,9 @@ def fitted_and_held(
     )
 
 
-def states(segments: Sequence[Segment]) -> tuple[Array, Array, Array]:
-    """Positions, velocities and accelerations of the joints at the rows, each (n, nv)."""
-    motions = [s.motion[s.keep] for s in segments]
-    return (
-        np.concatenate([motion.q for motion in motions]),
-        np.concatenate([motion.dq for motion in motions]),
-        np.concatenate([motion.ddq for motion in motions]),
-    )
+def states(segments: Sequence[Segment]) -> Motion:
+    """The motion at the rows of segments, one after another."""
+    return together([s.motion[s.keep] for s in segments])
 
 
 def predicted_torque(robot: Robot, segments: Sequence[Segment]) -> Array:

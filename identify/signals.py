@@ -27,10 +27,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
-from excitant.robots.motion import Array, Motion, Noun, power_density
+from excitant.robots.motion import Array, Mask, Motion, Noun, power_density
 
 BUTTERWORTH_ORDER = 4  # of the filter, each way
 MEMORY_PERIODS = 6.0  # periods of its cut-off, after which the filter has forgotten
@@ -102,7 +101,7 @@ def differentiated(t: Array, q: Array, cutoff_hz: float) -> Motion:
     return Motion(t, spline(t), spline(t, 1), spline(t, 2))
 
 
-def live(values: Array) -> npt.NDArray[np.bool_]:
+def live(values: Array) -> Mask:
     """Which columns, shape (n, ...), are not zero throughout; 16 rows show most of them."""
     nonzero = np.asarray(values[:: max(1, len(values) // 16)].any(axis=0), bool)
     return nonzero if nonzero.all() else np.asarray(values.any(axis=0), bool)

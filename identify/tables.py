@@ -209,15 +209,15 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
 
 def series_of(estimate: Estimate) -> dict[str, Array]:
     """Torques and states on the hold-out, each of shape (n, nv), and curves of friction."""
-    position, velocity, _ = states(estimate.data.validate)
+    motion = states(estimate.data.validate)
     return {
         "t": estimate.holdout.t,
         "measured": estimate.holdout.measured,
         "given": estimate.predicted_given,
         "identified": estimate.predicted,
         "half_width": estimate.interval.half_width,
-        "position": position,
-        "velocity": estimate.holdout.in_motion(velocity),
+        "position": motion.q,
+        "velocity": estimate.holdout.in_motion(motion.dq),
         **curves_over_velocity(friction_curves(estimate)),
     }
 

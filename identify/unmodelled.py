@@ -105,7 +105,7 @@ def delay_of(rows: FitRows) -> Delay | None:
     The column of a change of d is −dτ/dt, one for each joint. Rows around a reversal are left out:
     what the law of friction lacks there is no delay.
     """
-    direction = np.sign(states(rows.data.train)[1])
+    direction = np.sign(states(rows.data.train).dq)
     window = 7  # rows: the filter reaches two on either side, 40 ms the third
     turns = scipy.ndimage.maximum_filter1d(direction, window, axis=0) != (
         scipy.ndimage.minimum_filter1d(direction, window, axis=0)
@@ -344,7 +344,7 @@ def _sentence(
 
 def _linear(rows: FitRows) -> Array:
     """Columns of linear springs relaxed amid their motion, shape (n, nv, nv) [rad or m]."""
-    q = states(rows.data.train)[0]
+    q = states(rows.data.train).q
     used = rows.used
     centre = (q * used).sum(axis=0) / np.maximum(used.sum(axis=0), 1)
     return ((q - centre) * used)[:, :, None] * np.eye(rows.robot.nv)

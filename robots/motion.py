@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -101,6 +102,14 @@ class Motion:
 def numbered(q: Array, dq: Array, ddq: Array) -> Motion:
     """States that follow no time, each of shape (n, nv)."""
     return Motion(np.arange(len(q), dtype=float), q, dq, ddq)
+
+
+def together(motions: Sequence[Motion]) -> Motion:
+    """The states of motions, one after another."""
+    names = ("q", "dq", "ddq")
+    return numbered(
+        *(np.concatenate([getattr(m, name) for m in motions]) for name in names)
+    )
 
 
 def root_mean_square(values: Array, axis: int | tuple[int, ...] = 0) -> Array:

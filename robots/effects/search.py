@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from excitant.robots.motion import Array, Motion, root_mean_square
+from excitant.robots.motion import Array, Motion, root_mean_square, together
 
 if TYPE_CHECKING:
     from excitant.robots.effects.base import Effect
@@ -76,8 +76,7 @@ def joint_facts(
     Noise is a density of the positions, (nv,) [rad²/Hz or m²/Hz]; ``load`` the largest torque of
     each joint, (nv,) [N·m].
     """
-    states = [(motion.q, motion.dq, motion.ddq) for motion in motions]
-    q, dq, ddq = (np.concatenate(parts) for parts in zip(*states, strict=True))
+    states = together(motions)
     start = min(float(motion.t[0]) for motion in motions)
     duration = max(float(motion.t[-1]) for motion in motions) - start
     hidden_time = max(float(motion.t[1] - motion.t[0]) for motion in motions)
@@ -85,10 +84,10 @@ def joint_facts(
     if cutoff_hz < np.inf:  # positions pass twice the cut-off
         band = 2 * cutoff_hz
         hidden_time += 1 / (2 * np.pi * band)
-    acceleration = root_mean_square(ddq)
+    acceleration = root_mean_square(states.ddq)
     blur = acceleration * hidden_time**2 / 2 + REVERSAL_STDS * np.sqrt(noise * band)
-    speed = np.abs(dq).max(axis=0)
-    reach = np.ptp(q, axis=0)
+    speed = np.abs(states.dq).max(axis=0)
+    reach = np.ptp(states.q, axis=0)
     hidden = acceleration * hidden_time
     most = np.broadcast_to(load, speed.shape)
     facts = tuple(
@@ -99,14 +98,13 @@ def joint_facts(
     )
     if unexplained is None:
         return facts
-    parts = [motion[part] for motion, part in zip(motions, rows, strict=True)]
-    q = np.concatenate([part.q for part in parts])
-    dq = np.concatenate([part.dq for part in parts])
+    parts = zip(motions, rows, strict=True)
+    states = together([motion[part] for motion, part in parts])
     return tuple(
         replace(
             facts[j],
-            q=q[:, j],
-            dq=dq[:, j],
+            q=states.q[:, j],
+            dq=states.dq[:, j],
             unexplained=unexplained[:, j],
             cutoff_hz=cutoff_hz,
         )
