@@ -42,7 +42,7 @@ from excitant.robots.effects.body import GivenInertias
 from excitant.robots.motion import Array, root_mean_square
 from excitant.robots.parameters import from_pseudo_inertia
 from excitant.robots.robot import Robot
-from excitant.robots.torque import column_names, effect_values
+from excitant.robots.torque import coefficients, column_names, effect_values
 
 
 class HoldoutScale(NamedTuple):
@@ -522,7 +522,7 @@ class Extender:
     ) -> EffectPrior:
         robot = self.holdout.robot
         scalar = [e for e in effects if e.role != "body"]
-        parameters = [p for e in scalar for p in e.parameters(robot)]
+        parameters = coefficients(robot, scalar)
         mean = np.array(
             [
                 v
@@ -532,7 +532,8 @@ class Extender:
         )
         tolerance = self.evidence.tolerance[1] * EVIDENCE.tolerance
         known = np.maximum(tolerance * np.abs(mean), 1e-9)
-        names = {p.name for c in chosen for p in c.effect.parameters(robot)}
+        causes = [c.effect for c in chosen]
+        names = {p.name for p in coefficients(robot, causes)}
         free = np.array([p.name in names for p in parameters], dtype=bool)
         std = np.where(
             free, coefficient_sizes(parameters, columns, self.tau), known
@@ -545,7 +546,7 @@ def _effects(
     chosen: Sequence[Candidate],
     hidden: Sequence[Effect] = (),
 ) -> list[Effect]:
-    present = {p.name for e in robot.effects for p in e.parameters(robot)}
+    present = {p.name for p in coefficients(robot, robot.effects)}
     bodies = [c.effect for c in chosen if c.effect.role == "body"]
     causes = [c.effect for c in chosen if c.effect.role == "torque"]
     amends = [e for e in causes if e.physics.amends]

@@ -16,7 +16,6 @@ from excitant.analysis.uncertainty import (
     candidate_experiments,
     default_noise,
     experiments_needed,
-    known_values,
     planned_experiment,
     practical,
     recorded_experiment,
@@ -32,10 +31,11 @@ from excitant.results import Category, ParameterIdentifiability, Practical
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, Noun, read_only
-from excitant.robots.parameters import UNITS, moved_parameters
+from excitant.robots.parameters import moved_parameters
 from excitant.robots.robot import Robot
 from excitant.robots.shown import Shown, Table, data_frame
 from excitant.robots.threads import on_one_thread
+from excitant.robots.torque import column_units, known_values
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -359,13 +359,6 @@ def _notes(
     return tuple(notes)
 
 
-def _units(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
-    return (
-        *UNITS * robot.nv,
-        *(p.unit for e in effects for p in e.parameters(robot)),
-    )
-
-
 def _entries(
     robot: Robot,
     effects: Sequence[Effect],
@@ -374,7 +367,7 @@ def _entries(
     experiment: Experiment | None,
 ) -> tuple[ParameterIdentifiability, ...]:
     base = structural.base
-    units = _units(robot, effects)
+    units = column_units(robot, effects)
     nominal = known_values(robot, effects)
     if structural.frames is not None:
         to_joints = np.linalg.inv(structural.frames)

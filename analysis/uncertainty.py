@@ -37,7 +37,12 @@ from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Mask, Motion, root_mean_square
 from excitant.robots.parameters import pseudo_inertia
 from excitant.robots.robot import Robot
-from excitant.robots.torque import effect_values, observation_columns, torque
+from excitant.robots.torque import (
+    coefficients,
+    known_values,
+    observation_columns,
+    torque,
+)
 
 if TYPE_CHECKING:
     from excitant.identify.estimate import Estimate
@@ -256,7 +261,7 @@ def candidate_experiments(
             )
     sensor = f"{_NEVER}; by a force and torque sensor under the base"
     tilts = _tilts(robot)
-    others = sum(len(effect.parameters(robot)) for effect in effects)
+    others = len(coefficients(robot, effects))
     experiments |= {f"the base {how}": factor(arm) for how, arm in tilts.items()}
     for how, arm in {"": robot, **tilts}.items():
         experiments[f"{sensor}, {how}".removesuffix(", ")] = _base_sensor(
@@ -346,15 +351,6 @@ def experiments_needed(
                 f"{some[0]}, but no better than to 30 %" if some else APART
             )
     return tuple(answers)
-
-
-def known_values(robot: Robot, effects: Sequence[Effect]) -> list[float | None]:
-    """Values of all parameters as the robot is given; None where not known."""
-    values = effect_values(robot)
-    return [
-        *robot.phi.tolist(),
-        *(values.get(p.name) for e in effects for p in e.parameters(robot)),
-    ]
 
 
 def prior_root(bodies: Array, effects: Array) -> Array:

@@ -18,10 +18,9 @@ from excitant.exceptions import OutsideLimits
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.geometry import Scene
 from excitant.robots.motion import Array, Motion
-from excitant.robots.parameters import UNITS
 from excitant.robots.robot import Robot
 from excitant.robots.shown import Shown, Table, share
-from excitant.robots.torque import effect_values, torque
+from excitant.robots.torque import column_units, known_values, torque
 
 _DENSE_HZ = 100.0  # samples of the figures reported: rate
 _DENSE = 1000  # and at least so many
@@ -226,17 +225,10 @@ class Design(Shown):
             "initial": lone_torque(self.before),
             "final": lone_torque(self.after),
         }
-        known = dict(zip(robot.parameter_names, robot.phi.tolist(), strict=True))
-        known |= effect_values(robot)
-        beta = base.regrouping @ np.array(
-            [known.get(name, 0.0) for name in base.names]
-        )
-        added = (
-            p.unit
-            for effect in self.information.effects
-            for p in effect.parameters(robot)
-        )
-        units = [*UNITS * robot.nv, *added]
+        effects = self.information.effects
+        known = known_values(robot, effects)
+        beta = base.regrouping @ np.array([value or 0.0 for value in known])
+        units = column_units(robot, effects)
         rows = []
         for k in np.argsort(lone["final"], kind="stable")[:_WEAKEST]:
             row = {"name": names[k], "expression": base.expressions[k]}

@@ -65,6 +65,7 @@ from excitant.identify.rows import (
     fitted,
     gains_of,
     identified_robot,
+    places_of,
     predicted_torque,
     refuse_other_units,
     split,
@@ -626,12 +627,9 @@ def with_own_torque(rows: FitRows, prior: Array, knowledge: Knowledge) -> FitRow
     if len(alone) == len(effects):
         return rows
     columns = list(range(10 * robot.nv))
-    end = len(columns)
-    for effect in effects:
-        start = end
-        end += len(effect.parameters(robot))
+    for effect, own in places_of(robot, effects):
         if not effect.physics.on_model:
-            columns += range(start, end)
+            columns += range(own.start, own.stop)
     current = replace(
         rows,
         effects=alone,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from excitant.identify.rows import states, told, units_of
+from excitant.identify.rows import places_of, states, told, units_of
 from excitant.robots.effects import Parameter
 from excitant.robots.motion import Array, Noun
 
@@ -64,19 +64,19 @@ def _friction_curve(
     """That of joint j, whose velocities at the rows of the hold-out have shape (n,)."""
     robot = estimate.given
     joint = robot.joints[j]
-    start = 10 * robot.nv
     places = list[int]()
     laws = []
-    for effect in estimate.model.effects:
+    for effect, columns in places_of(robot, estimate.model.effects):
         owners = [p.name.rpartition(".")[0] for p in effect.parameters(robot)]
-        own = [start + k for k, owner in enumerate(owners) if owner == joint]
+        own = [
+            columns.start + k for k, owner in enumerate(owners) if owner == joint
+        ]
         over_velocity = (
             effect.family == "friction" and effect.words.abscissa == "velocity"
         )
         if own and over_velocity and effect.law:
             places += own
             laws.append(effect.law)
-        start += len(owners)
     if not places:
         return None
     bend = np.linspace(-1, 1, _POINTS)

@@ -44,7 +44,7 @@ from excitant.identify.prior import (
     reference_motion,
 )
 from excitant.identify.recording import Recording, Recordings, recordings_of
-from excitant.identify.rows import effects_of, fit_rows, fitted, split
+from excitant.identify.rows import effects_of, fit_rows, fitted, places_of, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect
 from excitant.robots.effects.base import Law
@@ -180,21 +180,21 @@ class OnlineEstimator:
     def _sort_effects(self) -> None:
         """Sort effects by what they depend on: a joint's own state at an instant, or more."""
         places = list[Array]()
-        end = 10 * self.robot.nv
         self._laws = list[tuple[Law, Any]]()
         self._others = list[tuple[Effect, slice]]()
-        for effect in self.effects:
-            own = np.arange(end, end := end + len(effect.parameters(self.robot)))
+        for effect, own in places_of(self.robot, self.effects):
             if effect.law is None:
-                self._others.append((effect, slice(own[0], end)))
+                self._others.append((effect, own))
             else:  # terms of one joint after those of another
                 rows = effect.rows(self.robot)
-                of_joints = own.reshape(len(effect.joints), -1)
+                columns = np.arange(own.start, own.stop)
+                of_joints = columns.reshape(len(effect.joints), -1)
                 all_joints = rows == list(range(self.robot.nv))
                 self._laws.append(
                     (effect.law, slice(None) if all_joints else np.array(rows))
                 )
                 places += [np.array([rows, k]) for k in of_joints.T]
+        end = len(self.base.names)
         self._picked = np.array([*self.base.columns, end])
         self._row = np.zeros((self.robot.nv, end + 1))
         self._Y = np.zeros((self.robot.nv, 10 * self.robot.nv))

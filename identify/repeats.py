@@ -38,6 +38,7 @@ from excitant.identify.rows import FitRows
 from excitant.robots.effects import EFFECTS, Effect, Size
 from excitant.robots.motion import Array, Mask, Noun, quotient, root_mean_square
 from excitant.robots.robot import Robot
+from excitant.robots.torque import coefficients
 
 FALSE_ALARM = 0.01  # of recordings of one arm, called different
 RANK = 1e-9  # eigenvalue over the largest, up to which a recording shows nothing
@@ -319,7 +320,7 @@ class _Fit:
         """Base parameters and effects at the rows of segments that count, torque in N·m."""
         rows = self.rows
         both = regression_of(self.model, (*rows.effects, *effects), segments)
-        more = sum(len(effect.parameters(self.model)) for effect in effects)
+        more = len(coefficients(self.model, effects))
         columns = (*rows.base.columns, *range(both.p - more, both.p))
         if used is None:
             used = certain_rows(rows.effects, self.model.joints, segments)

@@ -32,7 +32,7 @@ from excitant.robots.motion import (
 )
 from excitant.robots.parameters import UNITS
 from excitant.robots.robot import Robot
-from excitant.robots.torque import torque
+from excitant.robots.torque import coefficients, torque
 
 FIT_SHARE = 0.7  # of each recording is fitted when no hold-out is named
 NAMED_SHARE = (
@@ -346,10 +346,8 @@ class FitRows:
             range(10 * self.robot.nv, self.regression.p)
         )
         std = implausible_size(effects.W, self.tau)
-        lower = np.array(
-            [p.lower for e in self.effects for p in e.parameters(self.robot)]
-        )
-        return EffectPrior(np.zeros_like(std), std, lower)
+        lower = [p.lower for p in coefficients(self.robot, self.effects)]
+        return EffectPrior(np.zeros_like(std), std, np.array(lower))
 
 
 def effects_of(
@@ -405,9 +403,8 @@ def units_of(
     robot: Robot, effects: Sequence[Effect], drive: DriveGains | None
 ) -> list[tuple[float, str]]:
     """Factor and unit in which to tell each parameter of links and effects."""
-    coefficients = [p for e in effects for p in e.parameters(robot)]
     links = [(1.0, unit) for unit in UNITS * robot.nv]
-    return links + [told(p, robot, drive) for p in coefficients]
+    return links + [told(p, robot, drive) for p in coefficients(robot, effects)]
 
 
 def implausible_size(columns: Array, tau: Array) -> Array:

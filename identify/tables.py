@@ -14,10 +14,10 @@ from excitant.identify.prior import decided_by, placeholder_links
 from excitant.identify.rows import states, units_of
 from excitant.identify.unmodelled import impossible_values
 from excitant.robots.base_parameters import categories
-from excitant.robots.effects import effect_values
 from excitant.robots.motion import Array
 from excitant.robots.parameters import UNITS, inertia, violations
 from excitant.robots.robot import Robot
+from excitant.robots.torque import coefficients, known_values
 
 if TYPE_CHECKING:
     from excitant.identify.estimate import Estimate
@@ -248,17 +248,16 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
     robot = estimate.given
     physical = estimate.physical
     effects = estimate.physical.estimated(estimate.model.effects)
-    coefficients = [p for e in effects for p in e.parameters(robot)]
     owners = [link for link in robot.links for _ in UNITS]
-    owners += [p.name.rpartition(".")[0] for p in coefficients]
-    values = effect_values(robot)
-    nominal = [*robot.phi, *(values.get(p.name) for p in coefficients)]
-    prior = [*physical.prior.bodies.ravel(), *(None,) * len(coefficients)]
+    owners += [p.name.rpartition(".")[0] for p in coefficients(robot, effects)]
+    nominal = known_values(robot, effects)
+    bodies = physical.prior.bodies.ravel()
+    prior = [*bodies, *(None,) * (len(owners) - len(bodies))]
     category = categories(estimate.base)
     who = _deciders(estimate)
     units = units_of(robot, effects, estimate.drive)
     entries = []
-    for k, by in enumerate(who):
+    for k, (by, given) in enumerate(zip(who, nominal, strict=True)):
         if estimate.data.poses is not None and category[k] == "unidentifiable":
             continue  # poses show no inertia
         factor, unit = units[k]
@@ -269,7 +268,7 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
             "std": _known(estimate.std[k]),
             "unit": unit,
             "category": category[k],
-            "given": None if nominal[k] is None else factor * float(nominal[k]),
+            "given": None if given is None else factor * given,
             "prior": None if prior[k] is None else float(prior[k]),
             "prior_dominated": by == "prior",
             "decided_by": by,
@@ -283,7 +282,7 @@ def _of_springs(estimate: Estimate) -> list[dict[str, Any]]:
     robot = estimate.given
     springs = estimate.physical.springs
     units = units_of(robot, springs, estimate.drive)[robot.phi.size :]
-    names = [p.name for spring in springs for p in spring.parameters(robot)]
+    names = [p.name for p in coefficients(robot, springs)]
     values = [value for spring in springs for value in spring.values or ()]
     entries = []
     for name, value, (factor, unit) in zip(names, values, units, strict=True):

@@ -54,6 +54,7 @@ from excitant.robots.effects import EFFECTS, Effect, Spring
 from excitant.robots.effects.sensing import LONGEST_DELAY
 from excitant.robots.motion import Array, quotient, read_only, root_mean_square
 from excitant.robots.robot import Robot
+from excitant.robots.torque import coefficients
 
 IMPOSSIBLE_BY_CHANCE = 0.05
 """Probability that any possible coefficient is said to be none, of all of them; convention."""
@@ -68,7 +69,7 @@ def impossible_values(
     spring or hysteresis, and the physically consistent fit keeps to the least value.
     """
     lower = np.full(len(base.names), -np.inf)
-    lower[10 * robot.nv :] = [p.lower for e in effects for p in e.parameters(robot)]
+    lower[10 * robot.nv :] = [p.lower for p in coefficients(robot, effects)]
     category = categories(base)
     alone = [category[k] == "unique" for k in base.columns]
     least = np.where(alone, lower[list(base.columns)], -np.inf)
@@ -226,7 +227,7 @@ def allowing_for_springs(
         return fit, physical, ()
     end = rows.regression.p
     springs = _springs(robot)
-    names = [p.name for spring in springs for p in spring.parameters(robot)]
+    names = [p.name for p in coefficients(robot, springs)]
     columns = effect_columns(robot, springs, rows.data.train)
     wide = rows.regression.with_parts(columns, names)
     size = _sizes(rows)

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from excitant.robots.effects import Effect
+from excitant.robots.effects import Effect, Parameter
 from excitant.robots.effects import effect_values as effect_values
 from excitant.robots.motion import Array, Motion
+from excitant.robots.parameters import UNITS
 from excitant.robots.regressor import regressor, rigid_body_torque
 from excitant.robots.robot import Robot
 
@@ -30,10 +31,26 @@ def observation_columns(
     return np.concatenate(parts, axis=2)
 
 
+def coefficients(robot: Robot, effects: Sequence[Effect]) -> tuple[Parameter, ...]:
+    """The coefficients of effects, in the order of their columns."""
+    return tuple(p for effect in effects for p in effect.parameters(robot))
+
+
 def column_names(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
     """Names of the columns of `observation_columns`."""
-    added = (p.name for effect in effects for p in effect.parameters(robot))
-    return (*robot.parameter_names, *added)
+    return (*robot.parameter_names, *(p.name for p in coefficients(robot, effects)))
+
+
+def column_units(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
+    """Units of the parameters of `observation_columns`."""
+    return (*UNITS * robot.nv, *(p.unit for p in coefficients(robot, effects)))
+
+
+def known_values(robot: Robot, effects: Sequence[Effect]) -> list[float | None]:
+    """Values of all parameters as the robot is given; None where not known."""
+    values = effect_values(robot)
+    known = (values.get(p.name) for p in coefficients(robot, effects))
+    return [*robot.phi.tolist(), *known]
 
 
 def largest_torque(robot: Robot, motion: Motion) -> Array:
