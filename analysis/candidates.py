@@ -211,7 +211,7 @@ def gather(
 def gain_root(covariance: Array) -> Array:
     """L of a covariance L Lᵀ of the logarithms of drive gains, singular where one is known."""
     values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)), float)
+    return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def coefficient_sizes(

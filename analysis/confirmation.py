@@ -121,7 +121,7 @@ class Finding:
     def total(self) -> Array:
         """Covariance of its coefficients with their errors by the gains, shape (k, k)."""
         by_gains = np.outer(self.by_gains, self.by_gains)
-        return np.asarray(self.covariance + by_gains, float)
+        return self.covariance + by_gains
 
     @property
     def std(self) -> Array:
@@ -795,7 +795,7 @@ def coefficients_of(model: Robot, robot: Robot, effect: Effect) -> Array:
     """Coefficients that a model of a nominal robot has of an effect, (k,): of links, the change."""
     if effect.role == "link":
         at = _inertial_rows(robot, effect)
-        return np.asarray(model.phi[at] - robot.phi[at], float)
+        return model.phi[at] - robot.phi[at]
     values = effect_values(model)
     return np.array([values.get(p.name, 0.0) for p in effect.parameters(robot)])
 
@@ -827,4 +827,4 @@ def errors_by_gains(
         spread = np.sqrt(drive.covariance[rows, rows].max())
     else:
         spread = drive.scale_std
-    return np.asarray(spread * size, float)
+    return spread * size

@@ -291,6 +291,4 @@ def _explaining(R: Array, floor: Array, columns: Sequence[int], b: Array) -> Arr
     at = list(columns)
     scale = np.sqrt(np.maximum(np.diag(R)[at], floor[at]))
     A = R[np.ix_(at, at)] / np.outer(scale, scale) + FREE * np.eye(len(at))
-    return np.asarray(
-        np.linalg.lstsq(A, b[at] / scale, rcond=1e-11)[0] / scale, float
-    )
+    return np.linalg.lstsq(A, b[at] / scale, rcond=1e-11)[0] / scale

@@ -258,7 +258,7 @@ def _at_rest(series: FourierSeries, x: Array) -> Array:
     x = series.rest @ (series.rest.T @ x)
     x[0] = 0.0
     norm = np.linalg.norm(x)
-    return np.asarray(x / norm if norm > 0 else x, float)
+    return x / norm if norm > 0 else x
 
 
 def _within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:

@@ -125,7 +125,7 @@ class Evidence:
     @property
     def weight(self) -> Array:
         """Λ of each joint's rows, shape (nv,)."""
-        return np.asarray(1 / (self.sigma**2 * self.inflation), float)
+        return 1 / (self.sigma**2 * self.inflation)
 
     @cached_property
     def products(self) -> Array:
@@ -372,7 +372,7 @@ def _inverse_root(G: Array) -> Array:
     """Inverse square root of a Gram matrix on the directions it has, shape (rank, k)."""
     values, vectors = np.linalg.eigh(G)
     keep = values > 1e-9 * max(values[-1], 0.0)
-    return np.asarray((vectors[:, keep] / np.sqrt(values[keep])).T, float)
+    return (vectors[:, keep] / np.sqrt(values[keep])).T
 
 
 def cross_validation(

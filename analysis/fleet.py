@@ -198,7 +198,7 @@ class _Group:
             np.column_stack([self.arm[known], self.days[known]]), axis=0
         )
         dates = np.bincount(pairs[:, 0].astype(np.intp), minlength=len(self.arms))
-        return np.asarray(known & (dates >= FEWEST_DATES)[self.arm], bool)
+        return known & (dates >= FEWEST_DATES)[self.arm]
 
     @cached_property
     def lines(self) -> Indices:
@@ -208,7 +208,7 @@ class _Group:
     @cached_property
     def used(self) -> Mask:
         """Data sets that count: beside a line, those without a date do not."""
-        return np.asarray(self.dated | ~np.isin(self.arm, self.lines), bool)
+        return self.dated | ~np.isin(self.arm, self.lines)
 
     def without(self, arms: Set[str]) -> _Group:
         """The group without some arms."""

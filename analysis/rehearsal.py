@@ -185,7 +185,7 @@ def _recovered(
 
 
 def _std(estimate: Estimate) -> Array:
-    return np.asarray(np.sqrt(np.diag(estimate.least_squares.covariance)), float)
+    return np.sqrt(np.diag(estimate.least_squares.covariance))
 
 
 def _friction(

@@ -117,7 +117,7 @@ def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:
 
     def even(x: Array, bins: int) -> Indices:
         edges = np.quantile(x, np.linspace(0, 1, bins + 1)[1:-1])
-        return np.asarray(np.searchsorted(edges, x), np.intp)
+        return np.searchsorted(edges, x)
 
     distance = np.abs(by.reversal[rows, j])
     near = np.searchsorted(
@@ -161,7 +161,7 @@ def _lowest_frequency(segments: Sequence[Segment]) -> Array:
     f, power = power_density(q, longest.rate_hz, len(q))
     power[0] = 0.0
     reached = np.cumsum(power, axis=0) >= OUTSIDE_BAND * power.sum(axis=0)
-    return np.asarray(f[np.argmax(reached, axis=0)], float)
+    return f[np.argmax(reached, axis=0)]
 
 
 @dataclass(frozen=True)
@@ -295,7 +295,7 @@ def position_noise(segments: Sequence[Segment]) -> Array:
 def _slope(s: Segment, f: Array) -> Array:
     """Power of accelerations over that of the positions they are differentiated from, (m,)."""
     inner = position_cutoff(s.cutoff_hz, s.rate_hz)
-    return np.asarray((2 * np.pi * f) ** 4 / (1 + (f / inner) ** 8) ** 2, float)
+    return (2 * np.pi * f) ** 4 / (1 + (f / inner) ** 8) ** 2
 
 
 def motion_noise(robot: Robot, segments: Sequence[Segment]) -> Array:
@@ -308,7 +308,7 @@ def motion_noise(robot: Robot, segments: Sequence[Segment]) -> Array:
         few = s.motion[:: max(1, len(s.motion) // POSES)]
         inertia = torque_derivatives(robot, few)[2]
         power += len(s.motion) * passed * ((inertia**2).mean(axis=0) @ white)
-    return np.asarray(np.sqrt(power / sum(len(s.motion) for s in segments)), float)
+    return np.sqrt(power / sum(len(s.motion) for s in segments))
 
 
 def _fast(e: Array, rate_hz: float, cutoff_hz: float) -> float:

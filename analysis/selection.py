@@ -349,7 +349,7 @@ def rivals(
 def in_deviations(differences: Array) -> Array:
     """Differences summed over blocks, in standard errors of that sum, (blocks, ...) → (...)."""
     spread = np.sqrt(len(differences)) * differences.std(axis=0, ddof=1)
-    return np.asarray(differences.sum(axis=0) / np.maximum(spread, 1e-12), float)
+    return differences.sum(axis=0) / np.maximum(spread, 1e-12)
 
 
 def _only_more(evidence: Evidence, cause: Candidate, other: Candidate) -> bool:

@@ -100,7 +100,7 @@ def deviations(R: Array, A: Array) -> Array:
     size = np.linalg.norm(parts, axis=1)
     hidden = np.linalg.norm(parts[:, ~seen], axis=1) > UNSEEN_PART * size
     std = np.sqrt(((parts[:, seen] / s[seen]) ** 2).sum(axis=1))
-    return np.asarray(np.where(hidden, np.inf, std), float)
+    return np.where(hidden, np.inf, std)
 
 
 def _unit_columns(R: Array) -> tuple[Array, Array]:
@@ -149,7 +149,7 @@ class MotionInformation:
             np.maximum(np.einsum("mr,rs,ms->m", C, self.covariance, C), 0.0)
         )
         unseen = np.isinf(deviations(self.R[:, self.columns], C))
-        return np.asarray(np.where(unseen, np.inf, values), float)
+        return np.where(unseen, np.inf, values)
 
 
 def motion_information(
@@ -368,7 +368,7 @@ def posterior_std(R: Array, L: Array) -> Array:
     """Standard deviation of each parameter after data, constraints ignored, shape (p,)."""
     _, s, Vt = np.linalg.svd(R @ L)
     s = np.pad(s, (0, len(Vt) - len(s)))
-    return np.asarray(np.linalg.norm(L @ Vt.T / np.sqrt(1 + s**2), axis=1), float)
+    return np.linalg.norm(L @ Vt.T / np.sqrt(1 + s**2), axis=1)
 
 
 def flat_links(phi: Array, given: Array) -> tuple[int, ...]:

@@ -109,7 +109,7 @@ class DriveGains(Noun):
     def known(self) -> Mask:
         """Whether each gain is determined, and possible, shape (nv,)."""
         certain = np.diag(self.covariance) <= LARGEST_STD**2
-        return np.asarray(certain & (self.gains <= self.possible))
+        return certain & (self.gains <= self.possible)
 
     @property
     def _remedy(self) -> str:

@@ -107,7 +107,7 @@ def placeholder_links(robot: Robot) -> Mask:
     mass = robot.phi[::10]
     if np.allclose(mass, mass[0], rtol=1e-6) and (len(mass) > 2 or not mass.any()):
         return np.ones(len(mass), bool)
-    return np.asarray(mass < PLACEHOLDER * mass.sum(), bool)
+    return mass < PLACEHOLDER * mass.sum()
 
 
 def prior_parameters(robot: Robot) -> Array:

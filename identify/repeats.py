@@ -174,7 +174,7 @@ def noise_within(parts: Iterable[Regression], fit: LeastSquares) -> Array:
             rows.append(len(part))
     if not rows:
         return fit.weight
-    return np.asarray(np.average(noise, axis=0, weights=rows) ** -0.5, float)
+    return np.average(noise, axis=0, weights=rows) ** -0.5
 
 
 @dataclass(frozen=True, eq=False)

@@ -266,7 +266,7 @@ class _LeftOut:
         e = self._beyond(self.tau)[self.used] - beyond @ self.coefficients(columns)
         variance = (e**2).mean() * autocorrelation_time(e)
         G = np.linalg.pinv(beyond.T @ beyond, rcond=REVERSALS.rank, hermitian=True)
-        return np.asarray(np.sqrt(variance * np.diag(G)), float)
+        return np.sqrt(variance * np.diag(G))
 
     def errors(self, column: Array) -> Array:
         """Errors with this column, shape (n,), in place of its own."""

@@ -280,7 +280,7 @@ def _springs(robot: Robot) -> list[Spring]:
 def _beyond_least_squares(rows: FitRows, fit: LeastSquares) -> Array:
     """What another estimator adds to least squares of the base parameters, shape (r,)."""
     R, z = rows.reduced.factor(1 / fit.sigma)
-    return np.asarray(fit.beta - np.linalg.lstsq(R, z)[0], float)
+    return fit.beta - np.linalg.lstsq(R, z)[0]
 
 
 def _beside(

@@ -85,7 +85,7 @@ def circle_weights(angle: Array) -> Array:
     They are those of the interpolating trigonometric polynomial of degree 2.
     """
     apart = angle - CIRCLE
-    return np.asarray((1 + 2 * np.cos(apart) + 2 * np.cos(2 * apart)) / 5, float)
+    return (1 + 2 * np.cos(apart) + 2 * np.cos(2 * apart)) / 5
 
 
 def rigid_body_torque(robot: Robot, motion: Motion) -> Array:

@@ -524,7 +524,7 @@ def _far(x: Array, r: Array, step: Array, alarm: float, alike: bool) -> Mask:
     floor = np.maximum(step, single * np.abs(x).max(axis=0))
     if alike and typical.any():
         floor = np.maximum(floor, typical[typical > 0].min())
-    return np.asarray((z > bound) & (size > 3 * floor), bool)
+    return (z > bound) & (size > 3 * floor)
 
 
 def _impossible(log: Log, r: Array) -> Mask:
@@ -537,7 +537,7 @@ def _impossible(log: Log, r: Array) -> Mask:
     size = np.linalg.norm(windows, axis=-1) * np.linalg.norm(_OUTLIER)
     cosine = np.abs(windows @ _OUTLIER) / np.maximum(size, 1e-300)
     beyond_jitter = np.abs(r) > 0.5 * np.abs(log.travel)
-    return np.asarray(beyond_jitter & ((cosine > 0.9) | jump), bool)
+    return beyond_jitter & ((cosine > 0.9) | jump)
 
 
 def _distance(t: Array, x: Array) -> Array:

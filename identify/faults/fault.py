@@ -65,7 +65,7 @@ Mask = npt.NDArray[np.bool_]
 _SPAN = 4  # samples to either side of the one whose speed is asked
 _SHOWN = 10  # of many rows, in results
 DECODED: Mapping[str, Callable[[Array, float], Array]] = {
-    "unwrap": lambda x, turn: np.asarray(np.unwrap(x, period=turn), float),
+    "unwrap": lambda x, turn: np.unwrap(x, period=turn),
     "signed": lambda x, n: np.where(np.sign(n) * x > abs(n) / 2, x - n, x),
     "sign_bit": lambda x, n: np.where(
         np.sign(n) * x >= (1 - 1e-9) * abs(n), n - x, x
@@ -131,14 +131,12 @@ class Log(Recording):
         rows = np.arange(len(self))
         low = np.maximum(rows - _SPAN, 0)
         high = np.minimum(rows + _SPAN, len(self) - 1)
-        return np.asarray(
-            (self.q[high] - self.q[low]) / np.maximum(high - low, 1)[:, None]
-        )
+        return (self.q[high] - self.q[low]) / np.maximum(high - low, 1)[:, None]
 
     @cached_property
     def moving(self) -> Mask:
         """Rows at which a joint moves by several times its `grain` per sample, (n, nv)."""
-        return np.asarray(np.abs(self.travel) > 4 * self.grain)
+        return np.abs(self.travel) > 4 * self.grain
 
 
 @dataclass(frozen=True, eq=False)

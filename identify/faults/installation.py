@@ -344,7 +344,7 @@ def _ways(case: TorqueFit, fault: Fault) -> Array:
     if fault.fault == "wrong_mounting":
         gravity = fault.evidence["gravity"]
         turned = np.linalg.svd(gravity[None])[2][1:].T
-        return np.asarray(np.linalg.norm(gravity) * turned[:, : 2 * gravity.any()])
+        return np.linalg.norm(gravity) * turned[:, : 2 * gravity.any()]
     if fault.fault == "time_delay":
         return np.array([[1 / (case.data.rate * SEARCH.turn)]])
     values = int(fault.fault == "wrong_zero")
@@ -625,7 +625,7 @@ def _products(data: Smooth, torques: Sequence[Array]) -> Array:
     every = np.stack([*torques, data.tau], axis=2).swapaxes(0, 1)
     Q = np.linalg.qr(data.effects.swapaxes(0, 1))[0]
     every = every - Q @ (Q.swapaxes(1, 2) @ every)
-    return np.asarray(every.swapaxes(1, 2) @ every, float)
+    return every.swapaxes(1, 2) @ every
 
 
 def _shares(fit: TorqueFit, products: Array, data: Smooth) -> Array:
@@ -644,7 +644,7 @@ def _shares(fit: TorqueFit, products: Array, data: Smooth) -> Array:
     factor = np.clip(factor, 1 / most, most)
     left = products[:, 1, 1] - 2 * factor * both + factor**2 * size
     share = left / np.maximum((data.tau**2).sum(axis=0), 1e-300)
-    return np.asarray(np.log(np.maximum(share, MODEL_ERROR**2)), float)
+    return np.log(np.maximum(share, MODEL_ERROR**2))
 
 
 def _of_sums(
@@ -684,7 +684,7 @@ def _best(
     found = scipy.optimize.minimize(
         unlikeness, near, method="Powell", bounds=bounds, tol=SEARCH.turn
     )
-    return np.asarray(found.x, float)
+    return found.x
 
 
 def _nearest(
@@ -842,7 +842,7 @@ def _in_degrees(fit: TorqueFit) -> Iterator[Installation]:
     """Positions in degrees, of all joints that turn or of those beyond a turn."""
     log = fit.log
     largest = np.abs(fit.data.motion.q).max(axis=0)
-    turning = np.asarray(fit.robot.revolute)
+    turning = fit.robot.revolute
     # more than joints turn to one side
     beyond = turning & (largest > 1.2 * 2 * np.pi)
     if not beyond.any():

@@ -254,7 +254,7 @@ def _settled(log: Log, rows: Rows) -> tuple[Rows, Rows] | None:
 
 def _smoothed(t: Array) -> Array:
     size = 2 * REPAIRABLE.run + 1
-    return np.asarray(scipy.ndimage.median_filter(t, size, mode="nearest"))
+    return scipy.ndimage.median_filter(t, size, mode="nearest")
 
 
 def _unfit(t: Array, q: Array, order: Rows, moved: Mask, step: float) -> Mask:

@@ -282,7 +282,7 @@ class TorqueFit:
     def weight(self, noise: Array | float, rows: Array) -> Array:
         """Weight of each joint's squares, for noise and independent rows, (nv,) each; (k,)."""
         noise = noise + MODEL_ERROR**2 * self.size
-        return np.asarray((rows / len(self.tau) / noise)[self.joints], float)
+        return (rows / len(self.tau) / noise)[self.joints]
 
     def surprise(
         self, noise: Array, rows: Array, other: int

@@ -73,7 +73,7 @@ def _as_floats(values: Cells) -> Array:
         ]
         values = values.astype(object).where(np.array(plain, bool), None)
     numbers = pd.to_numeric(values, errors="coerce")
-    return np.asarray(numbers.to_numpy(float, na_value=np.nan))
+    return numbers.to_numpy(float, na_value=np.nan)
 
 
 def stamps_unit(
