@@ -14,8 +14,6 @@ published inertias are rough, and so is friction from a data sheet; noise is wha
 effects leave when free.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace

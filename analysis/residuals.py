@@ -5,8 +5,6 @@ Pearson 1905), less that expected by chance. Shares overlap, so the simplest qua
 explains nearly as much as the best is the dominant one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Selection of causes by evidence, with the rivals of each."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from functools import lru_cache

@@ -16,8 +16,6 @@ comes from few samples that count, the power at low frequency has relative varia
 method for the coefficients), and an estimate over its standard deviation is Student's t.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property

@@ -4,8 +4,6 @@ A model with an objection is not published: an engineer would look at the column
 first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -11,8 +11,6 @@ parameters φ and the effect coefficients θ. Consistent parameters are fitted d
 projected afterwards (Sousa and Cortesão 2014).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

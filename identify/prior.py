@@ -21,8 +21,6 @@ In linear theory the estimate moves by L V (1 + s²)⁻¹ Vᵀ w, where R L = U 
 `excitant.analysis` repeats the fit instead.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

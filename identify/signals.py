@@ -19,8 +19,6 @@ speeds that a controller has filtered, counts as their noise. No sensor has less
 white one of its samples, nor, in steps of Δ, than Δ / √12.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -14,8 +14,6 @@ a normal prior; the model has both. Base parameters without it are off by B θ: 
 B M Bᵀ, M = θ̂ θ̂ᵀ + V the second moment of θ.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple

@@ -9,8 +9,6 @@ flipped, 180/π or 30/π where the velocity is in degrees or revolutions per min
 joints at once where the time runs c times too fast. No model is needed to see that.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
