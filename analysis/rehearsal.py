@@ -68,7 +68,6 @@ _WORSE = 1.1  # error of the model over that of the truth behind the same sensor
 _ELSEWHERE = 0.05  # of typical torque: error at motions within half the limits
 _FEEBLE = 0.3  # of its speed limit: a joint that should move more
 _HOPELESS = 5.0  # uncertainty beyond which a longer record alone will not do
-_UNLIMITED = 3.0  # rad/s, where there is no limit on speed
 
 
 def _item(
@@ -99,8 +98,7 @@ class Situation:
     @property
     def use(self) -> dict[str, float]:
         """Highest speed of each joint relative to its limit, 3 rad/s where there is none."""
-        limit = self.robot.limits.velocity
-        top = np.where(np.isfinite(limit), limit, _UNLIMITED)
+        top = self.robot.limits.usual_speed
         shares = np.abs(self.run.dq).max(axis=0) / top
         return dict(zip(self.robot.joints, shares.tolist(), strict=True))
 

@@ -26,7 +26,7 @@ from excitant.robots.base_parameters import (
 )
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, Noun
-from excitant.robots.robot import Robot
+from excitant.robots.robot import Robot, own_axes
 
 MARGIN = 1e3  # factor on the tolerance that must not change a category
 HALF_DECADES = 6  # to there
@@ -239,13 +239,7 @@ def distal_frames(robot: Robot) -> Array:
         raise BadInput(
             f"{robot.name} branches: Denavit-Hartenberg frames are those of one chain"
         )
-    motions = [
-        np.reshape(joint.createData().S, 6) for joint in list(model.joints)[1:]
-    ]
-    own = [
-        s[3:] if turns else s[:3]
-        for s, turns in zip(motions, robot.revolute, strict=True)
-    ]
+    own = own_axes(robot)
     places = [
         *list(model.jointPlacements)[2:],
         list(model.frames)[robot.tip].placement,

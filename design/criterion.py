@@ -136,14 +136,9 @@ def condition_number(M: Array) -> float:
     )
 
 
-def speed_scale(robot: Robot) -> Array:
-    """Velocity limit of each joint, 3 where there is none, shape (nv,) [rad/s or m/s]."""
-    return np.where(robot.limits.velocity < 1e3, robot.limits.velocity, 3.0)
-
-
 def sign_width(robot: Robot) -> Array:
     """Speed within which the smooth sign turns, shape (nv,) [rad/s or m/s]."""
-    return _SIGN_WIDTH * speed_scale(robot)
+    return _SIGN_WIDTH * robot.limits.usual_speed
 
 
 def _friction_derivatives(

@@ -14,7 +14,6 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from excitant.design.constraints import SCALE, pose_use
-from excitant.design.criterion import speed_scale
 from excitant.design.problem import DesignProblem
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Indices, Motion
@@ -152,7 +151,7 @@ def _almost_turns(problem: DesignProblem, z: Array, dq: Array) -> Candidates:
 
 
 def _slow_speed(robot: Robot) -> Array:
-    return _SLOW * speed_scale(robot)
+    return _SLOW * robot.limits.usual_speed
 
 
 def _polished(

@@ -47,8 +47,8 @@ from excitant.robots.effects import (
 )
 from excitant.robots.motion import Array, Mask
 from excitant.robots.parameters import inertia
-from excitant.robots.robot import Robot
-from excitant.robots.urdf_writer import current_urdf
+from excitant.robots.robot import Robot, own_axes
+from excitant.robots.urdf_writer import current_urdf, numbers_text
 
 if TYPE_CHECKING:
     from excitant.identify.estimate import Estimate
@@ -380,7 +380,7 @@ def _mjcf(arm: Robot, remark: str, gains: Array | None) -> str:
         length = float(np.linalg.norm(place.translation))
         # a line to look at, no more
         if parent is not elements[0] and length > SHORTEST_LINE:
-            line = f"0 0 0 {_written(place.translation)}"
+            line = f"0 0 0 {numbers_text(place.translation)}"
             _add(
                 parent,
                 "geom",
@@ -408,17 +408,24 @@ def _mjcf(arm: Robot, remark: str, gains: Array | None) -> str:
             properties |= {"stiffness": stiffness, "springref": rest}
         if "frictionloss" in properties:
             properties |= _STIFF_FRICTION
-        _add(body, "joint", name=joint, type=kind, axis=_axis(arm, j), **properties)
+        _add(
+            body,
+            "joint",
+            name=joint,
+            type=kind,
+            axis=own_axes(arm)[j],
+            **properties,
+        )
         _sites(body, arm, j + 1)
         # force = gear (control + bias), the bias against the offset that the model needs
         gain = 1.0 if gains is None else float(gains[j])
         actuator = _add(actuators, "general", name=joint, joint=joint, gear=gain)
         if offset := drives["offset"][j]:
             actuator.set("biastype", "affine")
-            actuator.set("biasprm", _written([-offset / gain, 0.0, 0.0]))
+            actuator.set("biasprm", numbers_text([-offset / gain, 0.0, 0.0]))
         largest = arm.limits.torque[j] / abs(gain)
         if np.isfinite(largest):
-            actuator.set("ctrlrange", _written([-largest, largest]))
+            actuator.set("ctrlrange", numbers_text([-largest, largest]))
     return _text_of(root)
 
 
@@ -462,7 +469,7 @@ def _sdf(arm: Robot, remark: str) -> str:
         _add(element, "parent", parent)
         _add(element, "child", link)
         axis = _add(element, "axis")
-        _add(axis, "xyz", _axis(arm, j))
+        _add(axis, "xyz", own_axes(arm)[j])
         limit = _add(axis, "limit")
         ends = (low, high, limits.torque[j], limits.velocity[j])
         for key, value in zip(
@@ -524,11 +531,6 @@ def _unreserved(name: str) -> str:
     return f"{name.strip('_')}_link" if reserved else name
 
 
-def _axis(robot: Robot, joint: int) -> Array:
-    S = np.reshape(robot.model.joints[joint + 1].createData().S, 6)
-    return S[3:] if robot.revolute[joint] else S[:3]
-
-
 def _frames(robot: Robot, joint: int) -> Iterator[tuple[str, pin.SE3]]:
     """Links that are fixed to the one of a joint of Pinocchio's, 0 for the base; their poses."""
     for frame in list(robot.model.frames):
@@ -539,7 +541,7 @@ def _frames(robot: Robot, joint: int) -> Iterator[tuple[str, pin.SE3]]:
 
 def _pose(T: pin.SE3) -> dict[str, str]:
     x, y, z, w = pin.Quaternion(T.rotation).coeffs()
-    return {"pos": _written(T.translation), "quat": _written([w, x, y, z])}
+    return {"pos": numbers_text(T.translation), "quat": numbers_text([w, x, y, z])}
 
 
 def _add(
@@ -549,16 +551,15 @@ def _add(
     **attributes: Any,
 ) -> ET.Element:
     own = {
-        k: v if isinstance(v, str) else _written(v) for k, v in attributes.items()
+        k: v if isinstance(v, str) else numbers_text(v)
+        for k, v in attributes.items()
     }
     element = ET.SubElement(parent, tag, own)
     if content is not None:
-        element.text = content if isinstance(content, str) else _written(content)
+        element.text = (
+            content if isinstance(content, str) else numbers_text(content)
+        )
     return element
-
-
-def _written(values: npt.ArrayLike) -> str:
-    return " ".join(repr(float(x) + 0.0) for x in np.ravel(values))
 
 
 def _text_of(root: ET.Element, declared: bool = False) -> str:

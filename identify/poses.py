@@ -168,8 +168,7 @@ def _poses(recording: Recording, robot: Robot) -> Recording:
 def _refuse_moving(recording: Recording, robot: Robot) -> None:
     if recording.dq is None:
         return
-    limit = robot.limits.velocity
-    limit = np.where(limit < 1e3, limit, REST.free_speed)
+    limit = robot.limits.usual_speed
     moving = np.abs(recording.dq) > REST.moving_share * limit
     if not moving.any():
         return

@@ -70,8 +70,6 @@ class ReferenceMotion:
         harmonics: Sines in the position of each joint.
         limit_share: Share of the limits on speed and acceleration that is used,
         range_share: and of the position limits.
-        free_speed: Speed limit where the model has none [rad/s].
-        free_acceleration: Acceleration limit where the model has none [rad/s²].
         idle: Torque of a joint without load, as a share of the largest torque needed and of its
             own limit.
         rows: Rows at most; of a motion of more, 2000 per harmonic stand for all.
@@ -80,8 +78,6 @@ class ReferenceMotion:
     harmonics: int = 5
     limit_share: float = 0.5
     range_share: float = 0.9
-    free_speed: float = 3.0
-    free_acceleration: float = 10.0
     idle: float = 1e-2
     rows: int = 10_000
 
@@ -329,16 +325,13 @@ def reference_motion(robot: Robot, duration: float, rate_hz: float) -> Motion:
     )
     limits = robot.limits
     low, high = np.clip(limits.position, -np.pi, np.pi).T
-    # limits so high are those of models without any
-    speed = np.where(limits.velocity < 1e3, limits.velocity, REFERENCE.free_speed)
-    acceleration = np.where(
-        limits.acceleration < 1e4, limits.acceleration, REFERENCE.free_acceleration
-    )
     scale = np.min(
         [
             REFERENCE.range_share * (high - low) / 2 / np.abs(q).max(axis=0),
-            REFERENCE.limit_share * speed / np.abs(dq).max(axis=0),
-            REFERENCE.limit_share * acceleration / np.abs(ddq).max(axis=0),
+            REFERENCE.limit_share * limits.usual_speed / np.abs(dq).max(axis=0),
+            REFERENCE.limit_share
+            * limits.usual_acceleration
+            / np.abs(ddq).max(axis=0),
         ],
         axis=0,
     )

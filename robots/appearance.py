@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.names import listed
-from excitant.robots.geometry import joint_axes, readable_solids, zero_pose
+from excitant.robots.geometry import readable_solids
 from excitant.robots.motion import Array
-from excitant.robots.robot import Robot, spans
+from excitant.robots.robot import Robot, own_axes, spans
 
 _ROD = 0.02  # of the arm's extent: radius of what stands for a link without shapes
 _LISTED = 3  # links by name
@@ -79,16 +79,8 @@ class Appearance:
 
     def _along(self, joint: int, shift: float = 0.0) -> pin.SE3:
         """A frame whose z is the joint's axis, shifted along it, in the frame of the joint."""
-        axis = self._axes[joint - 1]
+        axis = own_axes(self.robot)[joint - 1]
         return pin.SE3(_turned(axis), shift * axis)
-
-    @cached_property
-    def _axes(self) -> Array:
-        """Axis of each joint in its own frame, shape (nv, 3)."""
-        data = self.robot.model.createData()
-        axes = joint_axes(self.robot, zero_pose(self.robot), data)
-        turns = [place.rotation for place in list(data.oMi)[1:]]
-        return np.einsum("jki,jk->ji", turns, axes)
 
     @cached_property
     def _extent(self) -> float:
@@ -136,7 +128,7 @@ class Appearance:
                 "axis": axis,
                 "slides": not robot.revolute[j - 1],
             }
-            for j, axis in enumerate(self._axes.tolist(), start=1)
+            for j, axis in enumerate(own_axes(self.robot).tolist(), start=1)
         ]
         shapes = [
             {

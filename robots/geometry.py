@@ -94,13 +94,6 @@ def zero_pose(robot: Robot) -> Array:
     return np.clip(np.zeros(robot.nv), *robot.limits.position.T)
 
 
-def joint_axes(robot: Robot, q: Array, data: Any) -> Array:
-    """Directions of the joints in the base frame in a pose, shape (nv, 3)."""
-    # Pinocchio gives the Jacobian of a single joint as a vector, here and elsewhere
-    J = np.reshape(pin.computeJointJacobians(robot.model, data, q), (6, -1))
-    return np.where(robot.revolute[:, None], J[3:].T, J[:3].T)
-
-
 @dataclass(frozen=True)
 class Obstacle:
     """A body that stands in the cell, in the base frame of the URDF."""

@@ -52,6 +52,16 @@ class Limits:
         """Number of limited derivatives of q, q included: 3, or 4 with limits on jerk."""
         return 4 if np.isfinite(self.jerk).any() else 3
 
+    @property
+    def usual_speed(self) -> Array:
+        """Highest speed, 3 where there is none, shape (nv,) [rad/s or m/s]."""
+        return np.where(self.velocity < 1e3, self.velocity, 3.0)
+
+    @property
+    def usual_acceleration(self) -> Array:
+        """Highest acceleration, 10 where there is none, shape (nv,) [rad/s² or m/s²]."""
+        return np.where(self.acceleration < 1e4, self.acceleration, 10.0)
+
     def of(self, joints: list[int]) -> Limits:
         """Limits of some of the joints, by index."""
         return replace(

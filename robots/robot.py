@@ -190,11 +190,10 @@ class Robot(Shown):
 
         Unlimited quantities are drawn within one turn, 3 rad/s and 10 rad/s².
         """
-        low, high = np.clip(self.limits.position, -2 * np.pi, 2 * np.pi).T
-        speed = np.where(self.limits.velocity < 1e3, self.limits.velocity, 3.0)
-        acceleration = np.where(
-            self.limits.acceleration < 1e4, self.limits.acceleration, 10.0
-        )
+        limits = self.limits
+        low, high = np.clip(limits.position, -2 * np.pi, 2 * np.pi).T
+        speed = limits.usual_speed
+        acceleration = limits.usual_acceleration
         shape = (n, self.nv)
         q = rng.uniform(low, high, shape)
         dq = rng.uniform(-speed, speed, shape)
@@ -230,6 +229,13 @@ class Robot(Shown):
         )
         heads = ("joint", "link", "from", "to", "speed", "torque", "mass [kg]")
         return heads, list(zip(*columns, strict=True))
+
+
+def own_axes(robot: Robot) -> Array:
+    """Axis of each joint in its own frame, shape (nv, 3)."""
+    joints = list(robot.model.joints)[1:]
+    motions = np.array([np.reshape(joint.createData().S, 6) for joint in joints])
+    return np.where(robot.revolute[:, None], motions[:, 3:], motions[:, :3])
 
 
 def spans(robot: Robot) -> list[float]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
 
 import numpy as np
+import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.robots.chains import tree
@@ -161,9 +161,9 @@ def joint_element(
     return joint
 
 
-def numbers_text(values: Iterable[float]) -> str:
+def numbers_text(values: npt.ArrayLike) -> str:
     """Numbers as a URDF has them, with all their digits."""
-    return " ".join(repr(float(value) + 0.0) for value in values)
+    return " ".join(repr(float(value) + 0.0) for value in np.ravel(values))
 
 
 def origin_element(rotation: Array, translation: Array) -> Element:

@@ -27,7 +27,6 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.robots import DHChain, Robot
-from excitant.robots.geometry import joint_axes
 from excitant.robots.parameters import moved_parameters
 
 Array = np.ndarray
@@ -47,6 +46,12 @@ def frames(chain: DHChain, q: Array) -> Array:
     """Pose in the base frame of frame 0 and of every link frame, shape (n, nv + 1, 4, 4)."""
     steps = [np.tile(chain.base, (len(q), 1, 1)), *chain.poses(q).swapaxes(0, 1)]
     return np.stack(list(accumulate(steps, np.matmul)), axis=1)
+
+
+def joint_axes(robot: Robot, q: Array, data: pin.Data) -> Array:
+    """Directions of the joints in the base frame in a pose, shape (nv, 3)."""
+    J = np.reshape(pin.computeJointJacobians(robot.model, data, q), (6, -1))
+    return np.where(robot.revolute[:, None], J[3:].T, J[:3].T)
 
 
 def dh_from_robot(robot: Robot) -> DHChain:

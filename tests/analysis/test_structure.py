@@ -12,7 +12,7 @@ import pytest
 from arms import data_folder
 from hypothesis import given
 from hypothesis import strategies as st
-from khosla import dh_from_robot
+from khosla import dh_from_robot, joint_axes
 from marks import slow
 from second_opinion import parameter_nullspace
 from urdf_arms import urdf_of
@@ -26,7 +26,6 @@ from excitant.robots.base_parameters import LENGTH_POWERS, TOLERANCE, arm_length
 from excitant.robots.chains import RobotSpec
 from excitant.robots.dh import joint_frames
 from excitant.robots.effects import standard_effects
-from excitant.robots.geometry import joint_axes
 from excitant.robots.urdf import robot_from_urdf
 
 SEEDS = st.integers(0, 2**32 - 1)
