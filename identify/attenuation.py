@@ -163,7 +163,7 @@ def half_segments(
     whole = data.train[0].whole
     halves: tuple[list[Segment], list[Segment]] = ([], [])
     for recording in recordings:
-        rate_hz = 1 / float(np.median(np.diff(recording.t)))
+        rate_hz = 1 / recording.step
         highest = RATE_SHARE * rate_hz
         if cutoff_hz > highest * (1 + 1e-6):
             raise BadInput(

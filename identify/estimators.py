@@ -314,7 +314,7 @@ def _settled(
 ) -> Array:
     """β at which reweighting rests; steps are taken in the orthonormal columns of the start."""
     problem = start.problem
-    inverse = start.inverse / start.norms[:, None]
+    inverse = start.inverse
     Q = _orthonormal(start)
     flat = Q.reshape(-1, problem.p)
     rounding = ROBUST.rounding * np.abs(problem.tau).max(axis=0)
@@ -347,7 +347,7 @@ def _settled(
 def _orthonormal(factor: Factor) -> Array:
     """Q of W / weight = Q R, shape (n, nv, p)."""
     problem = factor.problem
-    inverse = factor.inverse / factor.norms[:, None]
+    inverse = factor.inverse
     parts = zip(problem.index, problem.columns, factor.weight, strict=True)
     return np.stack([X @ inverse[index] / w for index, X, w in parts], axis=1)
 

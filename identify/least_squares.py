@@ -109,8 +109,9 @@ class Factor:
 
     @property
     def inverse(self) -> Array:
-        """R⁻¹, shape (r, r)."""
-        return scipy.linalg.solve_triangular(self.R, np.eye(len(self.R)))
+        """(R diag(norms))⁻¹, shape (r, r)."""
+        inverse = scipy.linalg.solve_triangular(self.R, np.eye(len(self.R)))
+        return inverse / self.norms[:, None]
 
 
 def factorised(problem: Regression, weight: Array) -> Factor:
@@ -194,7 +195,7 @@ def with_covariance(
     The error, shape (n, nv), is ε_j as the residual shows it; sigma is reported as noise, (nv,).
     """
     problem = factor.problem
-    root = factor.inverse / factor.norms[:, None]
+    root = factor.inverse
     scaled = error / factor.weight
     rows = []
     for j, index in enumerate(problem.index):

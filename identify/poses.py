@@ -176,13 +176,12 @@ def _refuse_moving(recording: Recording, robot: Robot) -> None:
     row = int(rows[0])
     j = int(np.argmax(moving[row]))
     unit = "rad/s" if robot.revolute[j] else "m/s"
-    step = float(np.median(np.diff(recording.t)))
     raise BadRecording(
         recording.file,
         f"joints move in {len(rows)} of {len(moving)} rows ({robot.joints[j]} at "
         f"{recording.dq[row, j]:.3g} {unit} here), so that these are no poses, and rows "
-        f"{step:.3g} s apart do not show accelerations: record at {LEAST_RATE_HZ:.0f} Hz or "
-        "more, or at rest",
+        f"{recording.step:.3g} s apart do not show accelerations: record at "
+        f"{LEAST_RATE_HZ:.0f} Hz or more, or at rest",
         row=row,
     )
 

@@ -313,7 +313,7 @@ def _step(recording: Recording) -> float:
         raise BadRecording(
             recording.file, f"{why}, or name a hold-out of its own", column="t"
         )
-    return float(np.median(np.diff(recording.t)))
+    return recording.step
 
 
 def uninterrupted(t: Array) -> list[Indices]:
@@ -343,7 +343,7 @@ def resampled(
     q = recording.q[rows]
     tau = recording.tau[rows]
     dq = None if recording.dq is None else recording.dq[rows]
-    step = float(np.median(np.diff(recording.t)))
+    step = recording.step
     mean = float(t[-1] - t[0]) / len(t)
     if mean > SAMPLING.burst_steps * step:
         why = (

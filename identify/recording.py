@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NoReturn, Self, TypeAlias
 
 import numpy as np
@@ -81,6 +82,13 @@ class Recording(Shown):
     def duration(self) -> float:
         """Time from the first to the last sample [s]."""
         return float(self.t[-1] - self.t[0])
+
+    @cached_property
+    def step(self) -> float:
+        """Median time step [s]."""
+        steps = np.diff(self.t)
+        forward = steps[steps > 0]
+        return float(np.median(forward)) if len(forward) else 1.0
 
     def channels(self) -> list[tuple[str, Array]]:
         """Names and arrays, shape (n, nv), of positions, speeds where logged, and torque."""

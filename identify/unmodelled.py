@@ -122,7 +122,7 @@ def delay_of(rows: FitRows) -> Delay | None:
         late = problem.with_torque(torque(value, 0)[some]).with_columns(rate, names)
         try:
             factor, beta, _, _ = settled(late)
-            root = factor.inverse[-nv:] / factor.norms[-nv:, None]
+            root = factor.inverse[-nv:]
             white, *_ = _common(beta[-nv:], root @ root.T)
             if abs(value + white.value) < chance * white.std:
                 return None  # coloured noise leaves it less certain still

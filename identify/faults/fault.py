@@ -107,13 +107,6 @@ class Log(Recording):
         return f"first row {rows[0]} at t = {self.t[rows[0]]:.4g} s"
 
     @cached_property
-    def step(self) -> float:
-        """Median time step [s]."""
-        steps = np.diff(self.t)
-        forward = steps[steps > 0]
-        return float(np.median(forward)) if len(forward) else 1.0
-
-    @cached_property
     def quanta(self) -> dict[str, Array]:
         """Smallest step between two values of each joint, shape (nv,), by channel."""
         return {
