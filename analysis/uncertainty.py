@@ -141,7 +141,7 @@ class MotionInformation:
         Array  # largest rms torque per unit of each parameter over the noise, (p,)
     )
     # of the unscaled columns of β; inf when some are not shown
-    condition_number: float = np.nan
+    condition_number: float
 
     def std(self, C: Array) -> Array:
         """Standard deviation of combinations C β, C (m, r), shape (m,); inf where unseen."""
@@ -397,7 +397,7 @@ class Experiment:
     motion: Motion  # or the longest stretch of a recording
     q: Array  # positions at all rows, shape (n, nv) [rad or m]
     basis: str  # where the standard deviations come from, as a sentence
-    notes: Sequence[str] = ()
+    notes: Sequence[str]
     # factor and unit of each parameter, if not its own
     told: Sequence[tuple[float, str]] = ()
 

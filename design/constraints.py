@@ -340,7 +340,7 @@ class Clearance:
     certified: float  # one that no instant is nearer than, as it counts [m]
     bodies: tuple[str, str]
     time: float  # [s]
-    scale: float = 1.0  # of these bodies' distance
+    scale: float  # of these bodies' distance
 
 
 @lru_cache(maxsize=8)

@@ -34,8 +34,8 @@ class DesignProblem:
     # functions of time that the motion is a combination of; c of them
     series: FourierSeries
     # the arm's bodies and obstacles; None to leave clearance out
-    scene: Scene | None = None
-    required: float = 0.0  # smallest distance between bodies [m]
+    scene: Scene | None
+    required: float  # smallest distance between bodies [m]
 
     @property
     def robot(self) -> Robot:

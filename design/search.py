@@ -247,8 +247,8 @@ class Effort:
     starts: int | None
     jobs: int  # number of processes
     seed: int  # seed of start k is (seed, k)
-    deadline: float = np.inf  # `time.time` at which to stop [s]
-    client: Any = None  # Dask cluster to use instead of processes here
+    deadline: float  # `time.time` at which to stop [s]
+    client: Any  # Dask cluster to use instead of processes here
     report: Report = lambda problem, states: None  # called whenever a state changes
 
     def share(self, starts: int | None, share: float) -> Effort:

@@ -11,7 +11,7 @@ import scipy
 from excitant.design.constraints import check
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots.geometry import Scene
-from excitant.robots.motion import Array, Motion, numbered, read_only
+from excitant.robots.motion import Array, Motion, interpolated, numbered, read_only
 from excitant.robots.robot import Robot
 from excitant.robots.torque import largest_torque, torque
 
@@ -216,7 +216,7 @@ def rounded_path(waypoints: Array, spacing: float = 1.0) -> Path:
     )
     knots = np.concatenate([np.zeros(3), np.linspace(0, 1, pieces + 1), np.ones(3)])
     greville = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3
-    control = _between(waypoints, length / length[-1], greville)
+    control = interpolated(greville, length / length[-1], waypoints)
     control[0] = waypoints[0]
     control[-1] = waypoints[-1]
     return Path(scipy.interpolate.BSpline(knots, control, 3), pieces)
@@ -290,12 +290,6 @@ def _lengths(waypoints: Array) -> Array:
     )
 
 
-def _between(waypoints: Array, length: Array, at: Array) -> Array:
-    return np.stack(
-        [np.interp(at, length, column) for column in waypoints.T], axis=1
-    )
-
-
 def _detour(
     robot: Robot, start: Array, goal: Array, free: Edge, rng: np.random.Generator
 ) -> Array | None:
@@ -347,7 +341,7 @@ def _shortened(waypoints: Array, free: Edge, rng: np.random.Generator) -> Array:
     for _ in range(PATH_SEARCH.shortcuts):
         length = _lengths(waypoints)
         cut = np.sort(rng.uniform(0.0, length[-1], 2))
-        a, b = _between(waypoints, length, cut)
+        a, b = interpolated(cut, length, waypoints)
         if free(a, b):
             before = waypoints[length < cut[0]]
             after = waypoints[length > cut[1]]

@@ -245,7 +245,7 @@ class Trajectory(_Curve, Shown):
         """The same path at a share of the speed."""
         return replace(self, period=self.period / speed)
 
-    def extrema_in_time(self, order: int = 0) -> tuple[Array, Array]:
+    def extrema_in_time(self, order: int) -> tuple[Array, Array]:
         """Instants among which every extremum of a derivative lies, and values there, (k, nv)."""
         times = self.series.extremum_times(self.coefficients, order)
         return times, self.series.along(times, self.coefficients, order)

@@ -234,20 +234,17 @@ def prediction_interval(
     fit: LeastSquares,
     residuals: Sequence[Array],
     gains: Array | float = 1.0,
-    covariance: Array | None = None,
 ) -> PredictionInterval:
     """95 % intervals of readings at new rows of the base columns, shape (n, nv, r).
 
-    The residual of each joint, (m_j,), is measured less predicted torque at its fitted rows. The
-    covariance is that of the fit, or of what W has columns of.
+    The residual of each joint, (m_j,), is measured less predicted torque at its fitted rows.
     """
     rows = sum(map(len, residuals))
     explained = np.minimum(fit.inflation * len(fit.beta) / rows, LARGEST_SHARE)
     remaining = 1 - explained
     noise_std = np.sqrt(np.array([(e**2).mean() for e in residuals]) / remaining)
     freedom = np.array([independent_squares(e) for e in residuals]) * remaining
-    covariance = fit.covariance if covariance is None else covariance
-    parameters = torque_std(W, covariance) / gains
+    parameters = torque_std(W, fit.covariance) / gains
     return PredictionInterval(
         parameters, noise_std, np.maximum(freedom, FEWEST_FREEDOM)
     )

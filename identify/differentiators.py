@@ -19,7 +19,7 @@ import numpy as np
 
 from excitant.exceptions import BadInput
 from excitant.identify.signals import FLOOR_SHARE, floor_density
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, interpolated
 
 _LEAST_SAMPLES = 64  # of a spectrum
 _SHORTEST_S = 0.004  # s: window of the quickest polynomial tried
@@ -106,7 +106,7 @@ def position_spectrum(t: Array, q: Array) -> Spectrum:
             f"choice of a differentiator: {n} samples; at least {_LEAST_SAMPLES} are needed"
         )
     grid = np.linspace(t[0], t[-1], n)
-    regular = np.column_stack([np.interp(grid, t, column) for column in q.T])
+    regular = interpolated(grid, t, q)
     rate_hz = float((n - 1) / (t[-1] - t[0]))
     f, power, floor = floor_density(regular, rate_hz)
     moving = f <= (1 - FLOOR_SHARE) * f[-1]

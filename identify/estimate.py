@@ -86,7 +86,7 @@ from excitant.robots.base_parameters import (
     categories,
 )
 from excitant.robots.effects import Effect, plain
-from excitant.robots.motion import Array, Mask, Motion, read_only
+from excitant.robots.motion import Array, Mask, Motion, interpolated, read_only
 from excitant.robots.parameters import BaseEstimate, is_covariance, violations
 from excitant.robots.robot import Robot
 from excitant.robots.shown import Shown, Table, data_frame, share
@@ -242,9 +242,7 @@ class Estimate(Shown):
             t = s.motion.t
             tau = s.filtered(tau) if filtered else tau
             inside = (run.t >= t[0]) & (run.t < t[-1] + 1 / s.rate_hz)
-            predicted[inside] = np.column_stack(
-                [np.interp(run.t[inside], t, column) for column in tau.T]
-            )
+            predicted[inside] = interpolated(run.t[inside], t, tau)
         return read_only(predicted)
 
     def score(self, recordings: Recordings) -> list[dict[str, Any]]:

@@ -33,7 +33,15 @@ from excitant.identify.signals import (
     smoothed,
 )
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Indices, Mask, Motion, Noun, read_only
+from excitant.robots.motion import (
+    Array,
+    Indices,
+    Mask,
+    Motion,
+    Noun,
+    interpolated,
+    read_only,
+)
 
 CUTOFF_HZ = 10.0  # above the motions of arms, below their structural resonances
 POSITION_RATIO = 2.0  # positions keep what the torque filter will judge
@@ -355,7 +363,7 @@ def resampled(
     grid = np.arange(t[0], t[-1] + tolerance, step)
     if len(t) == len(grid) and np.abs(t - grid).max() <= tolerance:
         return grid, q, tau, dq
-    linear = np.column_stack([np.interp(grid, t, column) for column in tau.T])
+    linear = interpolated(grid, t, tau)
 
     def cubic(values: Array) -> Array:
         return scipy.interpolate.make_interp_spline(t, values, k=3)(grid)

@@ -53,7 +53,6 @@ class Line:
     colour: str
     name: str = ""
     width: float = 1.1
-    dashed: bool = False
 
 
 @dataclass(frozen=True, eq=False)

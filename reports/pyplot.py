@@ -148,11 +148,8 @@ def _draw_axes(axes: Axes, ax: Drawn) -> None:
 def _draw_mark(mark: Mark, ax: Drawn, order: float) -> None:
     match mark:
         case Line():
-            stroke: Any = _DASHED if mark.dashed else "-"
             colour = COLOURS[mark.colour][0]
-            ax.plot(
-                mark.x, mark.y, color=colour, lw=mark.width, ls=stroke, zorder=order
-            )
+            ax.plot(mark.x, mark.y, color=colour, lw=mark.width, zorder=order)
         case Points():
             _draw_points(mark, ax, order)
         case Band():
@@ -163,7 +160,7 @@ def _draw_mark(mark: Mark, ax: Drawn, order: float) -> None:
             ax.axhspan(mark.low, mark.high, alpha=_FAINT, **look)
         case Rule():
             rule = ax.axvline if mark.along == "x" else ax.axhline
-            stroke = _DASHED if mark.dashed else "-"
+            stroke: Any = _DASHED if mark.dashed else "-"
             rule(mark.at, color=COLOURS[mark.colour][0], lw=0.9, ls=stroke)
 
 

@@ -132,7 +132,7 @@ def tree(root: Element, source: str) -> Tree:
 
 
 def held_joints(
-    robot: Tree, spec: RobotSpec, loops: Sequence[tuple[str, str]] = ()
+    robot: Tree, spec: RobotSpec, loops: Sequence[tuple[str, str]]
 ) -> tuple[dict[str, float | None], tuple[str, ...]]:
     """Joints to hold so that only the chosen ones move, and the defaults applied, as sentences.
 

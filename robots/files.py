@@ -137,7 +137,7 @@ def home(path: str | Path) -> Path:
 
 
 def package_folders(
-    name: str, named_by: str | Path, packages: Iterable[str | Path] = ()
+    name: str, named_by: str | Path, packages: Iterable[str | Path]
 ) -> Iterator[Path]:
     """Folders of a package, by their name or that in ``package.xml``.
 

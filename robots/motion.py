@@ -112,6 +112,11 @@ def together(motions: Sequence[Motion]) -> Motion:
     )
 
 
+def interpolated(at: Array, t: Array, values: Array) -> Array:
+    """Columns of values at t, shape (n, k), between them at other instants, shape (m, k)."""
+    return np.column_stack([np.interp(at, t, column) for column in values.T])
+
+
 def root_mean_square(values: Array, axis: int | tuple[int, ...] = 0) -> Array:
     """Root mean square along axes, in the unit of the values."""
     return np.sqrt(np.mean(values**2, axis=axis))

@@ -23,7 +23,13 @@ from excitant.identify.faults.fault import Log, Remedy, Rows
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.signals import differentiated, low_pass
-from excitant.robots.motion import Array, Motion, read_only, root_mean_square
+from excitant.robots.motion import (
+    Array,
+    Motion,
+    interpolated,
+    read_only,
+    root_mean_square,
+)
 from excitant.robots.regressor import regressor, rigid_body_torque
 from excitant.robots.robot import Robot
 
@@ -109,7 +115,7 @@ def smooth(log: Log) -> Smooth | None:
     cutoff = min(max(_BAND * frequency, least), 0.2 * rate)
 
     def even(x: Array) -> Array:
-        return np.column_stack([np.interp(grid, log.t, column) for column in x.T])
+        return interpolated(grid, log.t, x)
 
     # eight rows per period of the cut-off, and at most some 1200 in all
     rows = slice(None, None, max(1, int(rate / (8 * cutoff)), len(grid) // 1200))

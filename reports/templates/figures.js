@@ -59,7 +59,7 @@
   const DRAW = {
     line(c, mark, X, Y) {
       trace(c, mark, X, Y);
-      stroke(c, mark.colour, 1.2 * (mark.width || 1.1), mark.dashed);
+      stroke(c, mark.colour, 1.2 * (mark.width || 1.1));
     },
     points(c, { x, y, colour, size = 4, style }, X, Y) {
       const radius = 0.62 * size * devicePixelRatio;

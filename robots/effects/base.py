@@ -130,7 +130,7 @@ class Size:
     unit: str
     value: float
     std: float  # nan: whether the effect is there is not decided
-    given: float = 0.0
+    given: float
 
     def __str__(self) -> str:
         text = f"{rounded(self.value, 3)}{self.spread()}"
