@@ -88,7 +88,7 @@ class Observed:
     def torque(self) -> Array:
         """Torque of the robot with its effects, shape (n, nv) [N·m]."""
         self.prepare(self.robot.effects)
-        tau: Array = self.links @ self.robot.phi
+        tau = self.links @ self.robot.phi
         for effect in self.robot.effects:
             tau = tau + self.columns(effect) @ np.array(effect.values or ())
         return tau

@@ -613,7 +613,7 @@ def _weakest(
     for k in np.argsort(
         [finding.margin for finding in fit.findings], kind="stable"
     ):
-        candidate: Candidate = fit.chosen[k]
+        candidate = fit.chosen[k]
         if fit.findings[k].significant:
             return None
         rest = [c for c in fit.chosen if c is not candidate]
@@ -819,7 +819,7 @@ def errors_by_gains(
     if effect.role != "torque" and len(values):
         links = robot.phi.reshape(-1, 10)[list(effect.rows(robot))]
         largest = np.maximum(largest, np.abs(links).ravel())
-    size: Array = np.copysign(largest, values)
+    size = np.copysign(largest, values)
     if drive is None:
         return 0 * size
     if effect.role == "torque" and effect.joints:

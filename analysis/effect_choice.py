@@ -38,7 +38,7 @@ def choose_effects(
     """
     standard = standard_effects(robot.joints)
     bodies = prior_parameters(robot)
-    options: dict[str, Any] = {"validate": recordings, "cutoff_hz": cutoff_hz}
+    options = {"validate": recordings, "cutoff_hz": cutoff_hz}
     estimate, chosen = _determined(robot, recordings, [], options)
     train = observed(estimate.model, estimate.data.train)
     tau = series(train.segments).measured * estimate.gains

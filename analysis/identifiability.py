@@ -419,7 +419,7 @@ def _judged(
     negligible, size = resolution(x, std, information.signal)
     factors = np.array([factor for factor, _ in experiment.told] or np.ones(len(x)))
     values = zip((factors * x).tolist(), experiment.known, strict=True)
-    columns: dict[str, Sequence[Any]] = {
+    columns = {
         "std_data": (factors * std).tolist(),
         "value": [value if known else None for value, known in values],
         "verdict": [

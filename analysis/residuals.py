@@ -94,8 +94,7 @@ def since_reversal(q: Array, dq: Array, slowest: Array) -> Array:
     way = np.take_along_axis(way, last_moved, axis=0)
     turned = np.vstack([np.ones((1, q.shape[1]), bool), way[1:] != way[:-1]])
     last = np.maximum.accumulate(np.where(turned, at, 0), axis=0)
-    signed: Array = way * np.abs(q - np.take_along_axis(q, last, axis=0))
-    return signed
+    return way * np.abs(q - np.take_along_axis(q, last, axis=0))
 
 
 def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:

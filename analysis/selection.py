@@ -84,7 +84,7 @@ def _best_addition(
     taken = {c.key for c in chosen}
     scores = falls - _chances(evidence.candidates)
     for k in np.argsort(-scores, kind="stable"):
-        candidate: Candidate = evidence.candidates[k]
+        candidate = evidence.candidates[k]
         if scores[k] <= 0:
             return None
         if candidate.key in taken or candidate not in allowed:

@@ -64,7 +64,7 @@ class _Record(msgspec.Struct, frozen=True):
 
 def trajectory_json(trajectory: Trajectory, robot: Robot) -> str:
     """The exact coefficients, with the names of the joints."""
-    content: dict[str, Any] = {
+    content = {
         "format": "fourier",
         "robot": robot.name,
         "joints": list(robot.joints),
@@ -272,7 +272,7 @@ def mcap_bag(motion: Motion, robot: Robot) -> bytes:
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    types: Any = store.types
+    types = store.types
     duration, time = (
         types[f"builtin_interfaces/msg/{name}"] for name in ("Duration", "Time")
     )

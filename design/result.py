@@ -183,7 +183,7 @@ class Design(Shown):
         """
         robot = self.robot
         motion = dense_motion(self.trajectory)
-        series: dict[str, Array] = vars(motion) | {
+        series = vars(motion) | {
             "tau": torque(robot, motion),
             "eigenvalues_initial": np.linalg.eigvalsh(self.before),
             "eigenvalues_final": np.linalg.eigvalsh(self.after),

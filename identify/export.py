@@ -320,7 +320,7 @@ def _yaml(arm: Robot, beside: Mapping[str, str], gains: Array | None) -> str:
     limits = arm.limits
     names = ["position", "velocity", "acceleration", "torque"]
     names += ["jerk"] if np.isfinite(limits.jerk).any() else []
-    content: dict[str, Any] = {
+    content = {
         **beside,
         "joints": list(arm.joints),
         "gravity": arm.gravity.tolist(),

@@ -107,7 +107,7 @@ def side_by_side(estimate: Estimate, written: Robot | None = None) -> SideBySide
     notes = list[str]()
     identified = mujoco_torque(written or estimate.model, segments, gains)
     try:
-        given: Array | None = mujoco_torque(estimate.given, segments, gains)
+        given = mujoco_torque(estimate.given, segments, gains)
     except BadInput as error:
         given = None
         notes.append(str(error))

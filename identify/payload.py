@@ -134,7 +134,7 @@ class PayloadEstimate:
             entry["prior_dominated"] = bool(share > 0.5)
         centre = self.centre.tolist()
         std = self.centre_std.tolist()
-        history: dict[str, Any] = {"t": [t for t, _ in self.history]}
+        history = {"t": [t for t, _ in self.history]}
         for key in ("mass", "centre", "centre_std"):
             history[key] = [
                 np.asarray(getattr(each, key)).tolist() for _, each in self.history

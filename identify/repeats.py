@@ -362,7 +362,7 @@ class _Fit:
     ) -> Iterator[_Case]:
         """All that may differ in a recording, of which these are the segments and rows."""
         model = self.model
-        effects: list[Effect] = [
+        effects = [
             EFFECTS["payload"](model.joints[-1:]),
             EFFECTS["gravity_direction"](model.joints),
         ]

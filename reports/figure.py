@@ -222,7 +222,7 @@ class Timeline:
         usual = float(np.median(step[step > 0])) if (step > 0).any() else 1.0
         step[step <= 0] = usual
         start = t[0] if abs(t[0]) < EPOCH else 0.0
-        time: Array = start + np.concatenate([[0.0], np.cumsum(step)])
+        time = start + np.concatenate([[0.0], np.cumsum(step)])
         return cls(np.insert(time, joins, time[list(joins)]), joins)
 
     def broken(self, values: Array) -> Array:

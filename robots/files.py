@@ -52,7 +52,7 @@ def parse_xml(
     try:
         parser = XMLParser(target=target, forbid_entities=True)
         parser.feed(text)
-        root: ET.Element = parser.close()
+        root = parser.close()
     except EntitiesForbidden:
         why = "its XML declares entities; write out what they stand for"
         raise BadRobot(source, why) from None

@@ -20,7 +20,7 @@ def load_obstacles(path: str | Path) -> tuple[Obstacle, ...]:
     Raises:
         BadInput: Unreadable, an unknown shape, or values that do not fit; names the entry.
     """
-    content: Any = read_yaml(path, Any, "obstacles")
+    content = read_yaml(path, Any, "obstacles")
     listed = content.get("obstacles") if isinstance(content, dict) else content
     records = convert(listed, list[ObstacleRecord], path, ".obstacles")
     obstacles = []

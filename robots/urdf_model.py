@@ -103,7 +103,7 @@ def held_pose(
     model: pin.Model, held: Mapping[str, float | None]
 ) -> tuple[list[int], Array]:
     """Indices of held joints, and a configuration that has them in place."""
-    reference: Array = pin.neutral(model)
+    reference = pin.neutral(model)
     for name, value in held.items():
         joint = model.joints[model.getJointId(name)]
         if joint.nq == 1:

@@ -25,7 +25,7 @@ from excitant.reports.figure import (
 )
 from excitant.reports.values import Series
 from excitant.results import Finding, IdentifiedJoint, Identify
-from excitant.robots.motion import Array, Indices, power_density
+from excitant.robots.motion import Array, power_density
 
 _CLOUD = 1000  # points drawn of a cloud
 _MEDIANS = 24  # bins of a cloud, whose medians are drawn
@@ -71,7 +71,7 @@ def _medians(
     if upper <= lower:
         lower = x[0]
         upper = x[-1]
-    edges: Indices = np.searchsorted(x, np.linspace(lower, upper, bins + 1))
+    edges = np.searchsorted(x, np.linspace(lower, upper, bins + 1))
     least = max(3, len(x) // (40 * bins)) if fewest is None else fewest
     pairs = [
         (np.median(x[first:last]), np.median(y[first:last]))

@@ -276,7 +276,7 @@ def _link(result: Analyze, link: LinkIdentifiability, place: str) -> p.Blocks:
     def estimate(row: Combined) -> Practical | None:
         return practical.get(row.expression)
 
-    determined: tuple[p.Column, ...] = (
+    determined = (
         *p.estimates(of=estimate),
         ("text:Determined", lambda r: _determined(estimate(r))),
     )
@@ -314,7 +314,7 @@ def _parameters(link: LinkIdentifiability) -> p.Table | None:
             " Follows prior: how far the value moves when its prior is moved, from 0, the data "
             "decide, to 1, the prior alone does."
         )
-    plain: p.Column = ("number:Value", "value", v.number4)
+    plain = ("number:Value", "value", v.number4)
 
     def decided(row: ParameterIdentifiability) -> p.Cell:
         hidden = row.category == "unidentifiable"

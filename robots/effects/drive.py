@@ -312,7 +312,7 @@ def _load(robot: Robot, motion: Motion, j: int) -> Array:
     Power of a motion falls with frequency; that of noise rises, and then derivatives of the torque
     would be noise alone.
     """
-    tau: Array = rigid_torque(robot, motion)[:, j]
+    tau = rigid_torque(robot, motion)[:, j]
     if len(tau) < SPECTRUM:
         return tau
     rate = 1 / (motion.t[1] - motion.t[0])

@@ -71,7 +71,7 @@ def parameters_of(kind: str) -> dict[str, float | None]:
         return dict.fromkeys(STANDARD)
     if kind in NUMBERS:
         return dict.fromkeys(NUMBERS[kind])
-    law: Callable[..., Any] = LAWS[kind][1] if kind in LAWS else PLANTERS[kind]
+    law = LAWS[kind][1] if kind in LAWS else PLANTERS[kind]
     return {
         p.name: None if p.default is p.empty else p.default
         for p in inspect.signature(law).parameters.values()
@@ -144,7 +144,7 @@ def _changed(
         owner = getattr(truth, part)
         numbers = np.array(getattr(owner, field))
         numbers[joints] = change(numbers[joints], value)
-        changed: dict[str, Any] = {part: replace(owner, **{field: numbers})}
+        changed = {part: replace(owner, **{field: numbers})}
         truth = replace(truth, **changed)
     model = truth.model.copy()
     model.armature = truth.drives.rotor

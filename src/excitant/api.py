@@ -392,7 +392,7 @@ def simulate(
     duration = float(motion.t[-1])
     rng = np.random.default_rng(seed)
     nothing = {"hidden": (), "tolerance": 0.0}
-    differs: dict[str, Any] = {"tolerance": TOLERANCE} if hidden else nothing
+    differs = {"tolerance": TOLERANCE} if hidden else nothing
     true = virtual_arm(arm, rng, **differs)
     table = true.record(path, duration, rng, progress)
     return Simulation(table, duration, tuple(true.hidden))
@@ -458,7 +458,7 @@ def identify_robot(
 
 def highest_harmonic(trajectory: Trajectory | str | Path, robot: Robot) -> float:
     """Frequency of the highest harmonic of a commanded trajectory [Hz]."""
-    planned: Trajectory | Motion = (
+    planned = (
         design.load_trajectory(trajectory, robot)
         if isinstance(trajectory, str | Path)
         else trajectory

@@ -135,7 +135,7 @@ class Fit:
     def require(self, load: Load) -> None:
         """Refuse options that contradict each other."""
         com = load.payload_com
-        refused: list[tuple[object, str]] = [
+        refused = [
             (
                 self.automatic and (self.by_parts or load.payload),
                 "--effects auto needs all rows at once and the arm alone; name effects, or "
@@ -483,7 +483,7 @@ def diagnose_readings(
     model = ex.analysis.extended_publication(
         diagnosis, entries["faults"], force=force
     )
-    files: dict[str, str | bytes] = dict(model.files)
+    files = dict(model.files)
     result = diagnosis.result(plan) | entries
     folder = run.folder(result)
     result["extended"]["files"] = [str(folder / name) for name in files]
