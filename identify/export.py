@@ -399,7 +399,9 @@ def _mjcf(arm: Robot, remark: str, gains: Array | None) -> str:
         _add(body, "inertial", **frame, mass=mass, diaginertia=moments)
         kind = "hinge" if arm.revolute[j] else "slide"
         limits = arm.limits.position[j]
-        properties = {"range": limits} if np.isfinite(limits).all() else {}
+        properties = {"axis": own_axes(arm)[j]}
+        if np.isfinite(limits).all():
+            properties["range"] = limits
         for key, drive in _MJCF_NAMES.items():
             if drives[drive][j]:
                 properties[key] = drives[drive][j]
@@ -408,14 +410,7 @@ def _mjcf(arm: Robot, remark: str, gains: Array | None) -> str:
             properties |= {"stiffness": stiffness, "springref": rest}
         if "frictionloss" in properties:
             properties |= _STIFF_FRICTION
-        _add(
-            body,
-            "joint",
-            name=joint,
-            type=kind,
-            axis=own_axes(arm)[j],
-            **properties,
-        )
+        _add(body, "joint", name=joint, type=kind, **properties)
         _sites(body, arm, j + 1)
         # force = gear (control + bias), the bias against the offset that the model needs
         gain = 1.0 if gains is None else float(gains[j])
