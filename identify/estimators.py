@@ -9,7 +9,7 @@
 """
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -43,7 +43,7 @@ from excitant.identify.rows import FitRows
 from excitant.identify.signals import detrended, low_pass
 from excitant.robots.motion import Array, Motion, power_density
 
-ESTIMATORS: Mapping[str, str] = MappingProxyType(
+ESTIMATORS = MappingProxyType(
     {
         "wls": "weighted least squares",
         "irls": "robust regression (iteratively reweighted, Student's t)",

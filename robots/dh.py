@@ -63,7 +63,7 @@ from excitant.robots.urdf_writer import (
 )
 
 Convention = Literal["standard", "modified"]
-CONVENTIONS: tuple[Convention, Convention] = ("standard", "modified")
+CONVENTIONS = ("standard", "modified")
 
 
 @dataclass(frozen=True, eq=False)

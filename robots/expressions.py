@@ -87,7 +87,7 @@ _TEXT = (
     "split rsplit strip lstrip rstrip lower upper title capitalize startswith endswith "
     "find rfind index count isdigit isalpha isnumeric removeprefix removesuffix join replace"
 )
-_ATTRIBUTES: dict[type, Container[str]] = {
+_ATTRIBUTES = {
     str: _TEXT.split(),
     list: {"index", "count"},
     tuple: {"index", "count"},
@@ -130,7 +130,7 @@ _BUILTINS = (
     "list dict map len str float int bool min max round sorted range abs all any "
     "complex divmod enumerate filter frozenset ord reversed set sum tuple zip"
 )
-PYTHON: dict[str, Any] = {
+PYTHON = {
     **{name: getattr(builtins, name) for name in _BUILTINS.split()},
     "True": True,
     "False": False,

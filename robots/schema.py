@@ -347,7 +347,7 @@ def _known(place: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-_RECORDS: dict[str, type[Record]] = {
+_RECORDS = {
     "limits": LimitsRecord,
     "dh": DHRecord,
     "base": PlaceRecord,

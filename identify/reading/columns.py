@@ -30,7 +30,7 @@ _PLURALS = {
     "tau": "torques",
     "i": "currents",
 }
-_FORMS: tuple[str, ...] = (
+_FORMS = (
     *("{joint}.{}", "{}.{joint}", "{joint}_{}", "{}_{joint}"),
     *("{joint}/{}", "{}/{joint}", "{joint} {}", "{} {joint}"),
     *("{}[{0}]", "{}_{0}", "{}.{0}", "{}{0}"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from os.path import isdir
@@ -33,11 +33,11 @@ from excitant.robots.robot import Robot
 if TYPE_CHECKING:
     import pandas as pd
 
-_LINES: dict[str, Callable[[Path], tables.Table]] = {
+_LINES = {
     **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".log", ".asc"), text_table),
     **dict.fromkeys((".json", ".jsonl", ".ndjson"), tables.json_table),
 }
-_READERS: dict[str, Callable[[Path], tables.Table]] = {
+_READERS = {
     **dict.fromkeys((".parquet", ".pq"), tables.parquet_table),
     **_LINES,
     **{f"{suffix}.gz": reader for suffix, reader in _LINES.items()},

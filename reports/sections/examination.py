@@ -11,7 +11,7 @@ from excitant.results import Demo, Finding, Go, IdentifiedJoint, Number, Verdict
 _FEW = (
     3  # parameters of a hidden effect, and warnings or faults, that are written out
 )
-_TRUTH: dict[str | None, tuple[str, str, str]] = {
+_TRUTH = {
     None: (NONE, p.PLAIN, "not judged"),
     "named": ("✓ yes", p.GOOD, "named"),
     "undecided": (
