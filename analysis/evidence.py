@@ -76,7 +76,7 @@ class SetFit:
     """
 
     problem: Regression
-    active: Index
+    active: Indices
     root: Array
     coordinates: Array
 

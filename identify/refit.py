@@ -115,7 +115,7 @@ class Refit:
             EffectPrior(
                 mean[kept],
                 implausible_size(drives.W, drives.tau),
-                np.array([p.lower for p in own])[kept],
+                np.array([p.lower for p in coefficients])[kept],
             ),
         )
 
