@@ -27,6 +27,7 @@ from excitant.identify.reading.logs import (
     SUFFIXES,
     TEXTS,
     load_recording,
+    quantities_in,
     raw_recording,
     read_chunks,
     suffix_of,
@@ -133,11 +134,15 @@ class Dataset:
 
 def _inside(path: Path) -> list[Path]:
     """The recordings in a folder, those in the usual formats if there are any; else the path."""
-    if not isdir(path) or is_bag(path):
+    if not isdir(path) or is_bag(path) or quantities_in(path):
         return [path]
     files = sorted(path.iterdir())
     usual = [p for p in files if p.suffix in (".parquet", ".csv")]
-    logs = usual or [p for p in files if suffix_of(p) in SUFFIXES or is_bag(p)]
+    logs = usual or [
+        p
+        for p in files
+        if suffix_of(p) in SUFFIXES or is_bag(p) or quantities_in(p)
+    ]
     if not logs:
         why = "no .parquet or .csv recording in this folder, and it is no bag"
         raise BadInput(f"{path}: {why}")

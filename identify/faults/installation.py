@@ -493,10 +493,14 @@ def pose_faults(robot: Robot, log: Log) -> Iterator[Fault]:
     still = np.zeros_like(log.q)
     model = rigid_body_torque(robot, Motion(log.t, log.q, still, still))
     for j in np.flatnonzero(np.ptp(model, axis=0) > 0):
-        line = scipy.stats.linregress(model[:, j], log.tau[:, j])
-        if line.pvalue >= ALARM / log.nv or 1 - line.rvalue**2 >= SEARCH.halved:
+        x, y = (every[:, j] - every[:, j].mean() for every in (model, log.tau))
+        factor = float(x @ y / (x @ x))
+        share = factor * float(x @ y) / max(float(y @ y), 1e-300)
+        unexplained = max(1 - share, 0.0)
+        # of a correlation as large, of normal values
+        chance = scipy.special.betainc((len(log) - 2) / 2, 0.5, unexplained)
+        if chance >= ALARM / log.nv or unexplained >= SEARCH.halved:
             continue
-        factor = float(line.slope)
         joints = log.names([j])
         times = f"tau of {joints[0]} at rest is {factor:.3g} times that of the nominal bodies"
         evidence = {"channel": "tau"}

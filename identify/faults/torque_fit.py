@@ -21,7 +21,12 @@ import scipy
 from excitant.identify.drive_gains import BODY_STD, PLACEHOLDER_STD, without_effects
 from excitant.identify.faults.fault import Log, Remedy, Rows
 from excitant.identify.least_squares import autocorrelation_time
-from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
+from excitant.identify.prior import (
+    link_coordinates,
+    link_weights,
+    placeholder_links,
+    prior_parameters,
+)
 from excitant.identify.signals import differentiated, low_pass
 from excitant.robots.motion import (
     Array,
@@ -128,9 +133,8 @@ def smooth(log: Log) -> Smooth | None:
 
 
 def is_described(robot: Robot) -> bool:
-    """Whether the nominal bodies say anything: each has a mass, and not all the same."""
-    mass = robot.phi[::10]
-    return bool((mass > 0).all() and np.ptp(mass) > 1e-6 * mass.max())
+    """Whether the nominal bodies say anything: none of them only holds a place."""
+    return not placeholder_links(robot).any()
 
 
 @lru_cache(maxsize=16)

@@ -17,6 +17,7 @@ from excitant.identify.reading import bags, cells, tables
 from excitant.identify.reading.arrays import refuse_size
 from excitant.identify.reading.columns import Channel, Columns, resolve
 from excitant.identify.reading.mapping import ColumnMap
+from excitant.identify.reading.names import meaning
 from excitant.identify.reading.text import text_table
 from excitant.identify.recording import (
     MINIMUM_DURATION,
@@ -51,6 +52,7 @@ SUFFIXES = (
 """Ends of the names of recordings; what else is read may be something else in a folder."""
 TEXTS = tuple(s for s in _READERS if s.removesuffix(".gz") in _LINES)
 """Ends of the names of recordings whose lines, where there are many, are samples."""
+_TORQUES = {"tau", "i"}
 _FASTEST = 3.0  # times the velocity limit: no arm moves so in most rows
 _REMEMBERED = 100  # unreadable cells whose text is kept
 
@@ -145,6 +147,33 @@ def read_chunks(
     refuse_constant_torque(extremes, raw)
 
 
+def quantities_in(folder: Path) -> dict[str, tables.Table]:
+    """Tables of a folder that hold one recording, by the quantity after which each is named.
+
+    Empty where there are no such positions and torques, or one of them is a recording by itself.
+    """
+    if not isdir(folder) or bags.is_bag(folder):
+        return {}
+    files = [
+        path for path in sorted(folder.iterdir()) if suffix_of(path) in _READERS
+    ]
+    named = [(meaning(path.name.partition(".")[0]), path) for path in files]
+    named = [
+        (said, path) for said, path in named if said.role and not said.commanded
+    ]
+    roles = [said.role for said, _ in named]
+    if "q" not in roles or _TORQUES.isdisjoint(roles) or len({*roles}) < len(roles):
+        return {}
+    parts = {
+        said.column: _read(path, _READERS[suffix_of(path)]) for said, path in named
+    }
+    for table in parts.values():
+        held = {meaning(name).role for name in table.names}
+        if "q" in held and held & _TORQUES:
+            return {}
+    return parts
+
+
 def suffix_of(path: Path) -> str:
     """What the name of a file says of its format: its end, with that of what is packed in it."""
     ends = (
@@ -154,29 +183,38 @@ def suffix_of(path: Path) -> str:
 
 
 def _open_log(path: str | Path, mapping: ColumnMap | None) -> tables.Table:
-    """The table in a file, by its kind; any error of a reader as the refusal of its file."""
+    """The table in a file, by its kind."""
     path = Path(path)
     suffix = suffix_of(path)
     try:
-        size = 0 if isdir(path) else size_of(path)
+        if not isdir(path):
+            size_of(path)
     except FileNotFoundError:
         raise BadRecording(path, "no such file") from None
     except OSError as error:
         why = f"cannot be read ({error.strerror}); give a file"
         raise BadRecording(path, why) from None
     is_bag = bags.is_bag(path)
+    if parts := quantities_in(path):
+        return tables.joined_table(path, parts)
     if isdir(path) and not is_bag:
         why = "is a folder without metadata.yaml of a ROS 2 bag; give a file, or a bag"
         raise BadRecording(path, why)
     if not is_bag and suffix not in _READERS:
         known = ".parquet or .csv, .json, .npz, .mat, .bag or .mcap"
         raise BadRecording(path, f"unknown format '{suffix}'; give {known}")
+    if is_bag:
+        topic = mapping.topic if mapping else None
+        return _read(path, lambda bag: bags.bag_table(bag, topic))
+    return _read(path, _READERS[suffix])
+
+
+def _read(path: Path, reader: Callable[[Path], tables.Table]) -> tables.Table:
+    """The table in a file; any error of its reader as the refusal of the file."""
     try:
-        if is_bag:
-            return bags.bag_table(path, mapping.topic if mapping else None)
-        if suffix in (".npz", ".mat"):  # which are read whole
-            refuse_size(size)
-        return _READERS[suffix](path)
+        if suffix_of(path) in (".npz", ".mat"):  # which are read whole
+            refuse_size(size_of(path))
+        return reader(path)
     except (BadRecording, ModuleNotFoundError):
         raise
     except Exception as error:  # readers of others raise anything on a damaged file

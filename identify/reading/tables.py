@@ -117,6 +117,34 @@ def _table(
     return Table(file, names, frames, notes=notes)
 
 
+def joined_table(folder: Path, parts: Mapping[str, Table]) -> Table:
+    """One table of several that hold a quantity each, by the names of these.
+
+    A column is named by the quantity and its joint, as ``efforts.elbow_joint``.
+
+    Raises:
+        BadRecording: A table without time, or with other times than the first one.
+    """
+    whole = dict[str, Cells]()
+    for quantity, table in parts.items():
+        frame = next(table.frames(None, None))
+        of_time = [name for name in frame if meaning(name).role == "t"]
+        if not of_time:
+            raise BadRecording(table.file, "is missing; name it t", column="t")
+        for name in of_time:
+            first = np.asarray(whole.setdefault(name, frame[name]))
+            if not np.array_equal(first, np.asarray(frame[name])):
+                why = f"differs from that of {next(iter(parts))}; join them on one time"
+                raise BadRecording(table.file, why, column=name)
+        for name, values in frame.items():
+            said = meaning(name)
+            unit = f" [{said.unit}]" if said.unit else ""
+            of_joint = name if said.joint is None else f"{said.joint}{unit}"
+            if name and name not in of_time:
+                whole[f"{quantity}.{of_joint if said.role else name}"] = values
+    return _table((*whole,), [*whole.values()], str(folder), ())
+
+
 @contextmanager
 def parquet_file(path: Path, **options: Any) -> Iterator[Any]:
     """A Parquet file, opened here since PyArrow opens no path that is not UTF-8."""

@@ -782,6 +782,23 @@ def test_a_folder_brings_its_map_and_its_drives(save: Call, log: Path) -> None:
         assert found.unit == "N·m"
 
 
+@pytest.mark.parametrize("form", ["{}", "q{}"])
+def test_files_of_a_quantity_each_are_one_recording(form: str, tmp_path: Path) -> None:
+    folder = tmp_path / "run1"
+    folder.mkdir()
+    for stem, values in zip(
+        ("positions_deg", "velocities", "efforts"), (Q * DEG, DQ, TAU), strict=True
+    ):
+        columns = {form.format(JOINTS[k] if form == "{}" else k + 1): values[:, k] for k in ORDER}
+        pd.DataFrame({"t": T} | columns).to_csv(folder / f"{stem}.csv")
+    [recording] = load_dataset("ur10").recordings([str(folder)])
+    for values, known in zip((Q, DQ, TAU), (recording.q, recording.dq, recording.tau), strict=True):
+        np.testing.assert_allclose(known, values, rtol=1e-12, atol=1e-12)
+    pd.DataFrame({"t": T + 0.001, "q1": T}).to_csv(folder / "efforts.csv")
+    why = "positions_deg.csv, column 't': differs from that of efforts"
+    refusal(why, load_dataset("ur10").recordings, [str(folder)])
+
+
 def test_the_command_takes_a_map_and_shows_what_it_understood(excitant, save, log):
     columns = {"clock": T, "a": Q[:, 0], "b": Q[:, 1], "tau_0": 1.0, "tau_1": TAU[:, 1]}
     save(pd.DataFrame(columns)[:100], "log.csv")
