@@ -332,7 +332,7 @@ MADE: dict[str, tuple[str, Callable[[Run], Log]]] = {
     "parked_elbow": ("poor_excitation", lambda run: run.moved(lambda j: j != 2)),
     "hardly_moving": ("poor_excitation", lambda run: replace(run, motion=lambda t, order:
         0.02 * run.motion(t, order) + 0.98 * run.motion(0 * t, 0) * (order == 0)).log),
-    "brakes_close": ("", lambda run: run.built(laws=(*run.plant.laws,
+    "brakes_close": ("corrupt_rows", lambda run: run.built(laws=(*run.plant.laws,
         (lambda state: np.sign(state.dq) * (state.t > 4)[:, None], peak(run.log.tau) / 2)))),
     "one_joint_moves": ("poor_excitation", lambda run: run.moved(lambda j: j == 1)),
     "stands": ("poor_excitation", lambda run: run.moved(lambda j: 0 * j)),

@@ -26,6 +26,7 @@ MINIMUM_DURATION = 2.0  # s: less holds no motion to fit and to filter
 LONGEST_STEP_S = 1.0  # median sample step: a slower log shows no motion of an arm
 LONGEST_POSE_S = 86_400.0  # between two poses: more is no time in seconds
 LEAST_RATE_HZ = 10.0  # of a motion: torque is filtered at a fifth of it
+FASTEST = 3.0  # times the velocity limits: no arm moves so at most joints
 CHANNELS = ("q", "dq", "tau")
 
 

@@ -40,7 +40,6 @@ from excitant.identify.tables import LARGE_CHANGE
 from excitant.robots.effects import EFFECTS, Effect, effect_values
 from excitant.robots.motion import Array, Indices, Mask, Motion
 from excitant.robots.robot import Robot
-from excitant.robots.torque import coefficients
 
 REFIT_GAIN = 0.95
 """Largest nrmse, summed over the joints, of a refit over that of the simpler choice, on the rows

@@ -137,7 +137,7 @@ def _faults(
     channels = [*dead_channels(log), *saturation(log, robot)]
     cuts = np.split(np.arange(len(log)), np.searchsorted(log.t, parts))
     longest = log.take(max(cuts, key=len)) if len(cuts) > 1 else log
-    speeds = velocity_faults(longest)
+    speeds = velocity_faults(longest, robot.limits.velocity)
     if len(beyond_limits(robot, longest.q)[0]):
         # positions of another unit say nothing of the clock
         speeds = [f for f in speeds if f.fault != "wrong_sample_rate"]

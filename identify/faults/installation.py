@@ -87,8 +87,6 @@ class Search:
     "Newton steps of what is no choice among few: an angle, gravity, a delay."
     turn: float = 0.02
     "Angles of their differences [rad], in which squares are parabolic to 1e-4."
-    least_noise: float = 0.01
-    "Noise that is assumed then at least, in parts of the torque's rms."
     step: float = np.pi / 6
     "Step of the first grid of zero positions [rad]."
     right: float = np.pi / 2
@@ -162,12 +160,20 @@ class Installation:
             if fault.fault == "wrong_unit" and not fault.remedies
             for joint in fault.joints
         }
-        data = case.data.remedied(self.remedies)
+        data = self.read(case.data)
         robot = self.robot(case.robot)
         joints = frozenset(unscaled) | case.unscaled
         # what was taken off is known no better than the bodies
         weighed = None if robot.gravity.any() else case.robot
         return TorqueFit(robot, case.log, data, case.joints, joints, weighed)
+
+    def read(self, data: Smooth) -> Smooth:
+        """A log as it reads it."""
+        since = next(
+            (f.evidence["since"] for f in self.faults if "since" in f.evidence),
+            data.since,
+        )
+        return data.remedied(self.remedies)._replace(since=since)
 
     def joined(self, other: Installation) -> Installation:
         """It and another that was found in it."""
@@ -277,7 +283,7 @@ def _polished(case: TorqueFit, installation: Installation) -> Installation:
     if not ways.any():
         return installation
     start = installation.fit(case)
-    noise = np.clip(start.power / start.size, SEARCH.least_noise**2, MODEL_ERROR**2)
+    noise = np.minimum(start.power / start.size, MODEL_ERROR**2)
     weight = start.weight(0.0, start.rows) * MODEL_ERROR**2 / noise[start.joints]
 
     def moved(change: Array, std: Array | None = None) -> Installation:
@@ -385,12 +391,13 @@ def _likelier(
 ) -> _Judged | None:
     """An installation that leaves half the squares of another, or fits, and is likelier.
 
-    That is by twice the log odds that are given.
+    That is by twice the log odds that are given. A change in mid-run, which stands for much that a
+    model may lack, leaves a tenth.
     """
     theirs, mine = _judge(case, [other, installation])
-    allowed = max(
-        SEARCH.halved * theirs.squares, SEARCH.fits * float(case.rows.sum())
-    )
+    changes = any("since" in fault.evidence for fault in installation.faults)
+    share = SEARCH.fits if changes else SEARCH.halved
+    allowed = max(share * theirs.squares, SEARCH.fits * float(case.rows.sum()))
     likelier = mine.odds > theirs.odds + least and mine.squares <= allowed
     return mine if likelier else None
 
@@ -590,6 +597,7 @@ def _moves(fit: TorqueFit) -> Iterator[Installation]:
     yield from _in_degrees(fit)
     yield from _clock(fit)
     yield from _delays(fit)
+    yield from _changes(fit)
     # friction tells signs that the torque of bodies does not
     yield from _signs(fit)
     if not is_described(fit.robot):
@@ -615,7 +623,7 @@ def _one(fit: TorqueFit, *faults: Fault, more: float = 0.0) -> Installation:
 def _unlikeness(fit: TorqueFit, faults: Sequence[Fault] = ()) -> float:
     """Mean log of the share of torque that nominal bodies and own effects leave, with faults."""
     installation = Installation(tuple(faults))
-    data = fit.data.remedied(installation.remedies)
+    data = installation.read(fit.data)
     model = rigid_body_torque(installation.robot(fit.robot), data.motion)
     return float(_shares(fit, _products(data, [model]), data)[[*fit.joints]].mean())
 
@@ -1113,16 +1121,11 @@ def _delays(fit: TorqueFit) -> Iterator[Installation]:
     rows = int(min(SEARCH.latest, fit.log.duration / 10) / step)
     lags = np.linspace(-rows * step, rows * step, 2 * rows + 1)
     every = tuple(range(fit.robot.nv))
-    model = rigid_body_torque(fit.robot, data.motion)
     late = (
         data.remedied([Remedy("advance", "tau", every, factor=lag)])
         for lag in lags.tolist()
     )
-    shares = np.array(
-        [_shares(fit, _products(each, [model]), each) for each in late]
-    )
-    rises = (shares - shares[rows])[:, fit.joints]
-    rises = np.column_stack([rises.sum(axis=1), rises])  # of all joints, of each
+    rises = _rises(fit, late)
     rises[np.abs(lags) <= LONGEST_DELAY - step] = 0.0
     lag, place = np.unravel_index(np.argmin(rises), rises.shape)
     if rises[lag, place] == 0:
@@ -1134,8 +1137,49 @@ def _delays(fit: TorqueFit) -> Iterator[Installation]:
     )
     evidence = found.faults[0].evidence
     std = float(evidence.get("std", np.inf))
-    if abs(evidence["delay"]) > LONGEST_DELAY + 2 * std:
+    if LONGEST_DELAY + 2 * std < abs(evidence["delay"]) <= SEARCH.latest:
         yield found
+
+
+def _rises(fit: TorqueFit, tried: Iterable[Smooth]) -> Array:
+    """Rises of all `_shares`, and of each joint's, as a log is read otherwise, (m, 1 + k)."""
+    model = rigid_body_torque(fit.robot, fit.data.motion)
+    every = (fit.data, *tried)
+    shares = np.array([_shares(fit, _products(x, [model]), x) for x in every])
+    rises = (shares[1:] - shares[0])[:, fit.joints]
+    return np.column_stack([rises.sum(axis=1), rises])
+
+
+def _changes(fit: TorqueFit) -> Iterator[Installation]:
+    """Dry friction and offset of all joints, or of that it suits best, others from some time on."""
+    data = fit.data
+    if data.since is not None:
+        return
+    t = data.motion.t
+    nv = fit.robot.nv
+    times = np.linspace(t[0], t[-1], SEARCH.scales)[6:-6]
+    rises = _rises(fit, (data._replace(since=np.full(nv, x)) for x in times))
+    every = tuple(range(nv))
+    one = int(np.argmin(rises[:, 1:].min(axis=0)))
+    for joints, rise in (
+        (every, rises[:, 0]),
+        ((fit.joints[one],), rises[:, 1 + one]),
+    ):
+        since = np.full(nv, np.inf)
+        since[[*joints]] = start = float(times[np.argmin(rise)])
+        names = fit.log.names(joints)
+        where = f" of {names[0]}" if len(joints) < len(every) else ""
+        detail = (
+            f"the torque{where} is another from t = {start:.3g} s on, by an offset or dry "
+            "friction, as where a brake closes, a load is taken up or a sensor is zeroed: cut the "
+            "recording there"
+        )
+        evidence = {"channel": "tau", "since": since, "jumps": 1}
+        # of a time, and of two values of each joint
+        choices = ANY_VALUE + 2 * len(joints) * float(np.log(fit.rows.sum()))
+        yield _one(
+            fit, Fault("corrupt_rows", names, detail, evidence), more=choices
+        )
 
 
 def _late(

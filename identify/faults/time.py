@@ -27,6 +27,7 @@ from excitant.identify.faults.fault import (
     tail_bound,
 )
 from excitant.identify.preprocessing import longest_step
+from excitant.identify.recording import FASTEST
 from excitant.robots.motion import Array
 
 _NONE: Rows = np.zeros(0, np.intp)
@@ -353,13 +354,18 @@ def _listed(rows: Rows) -> str:
     return f"row{'s' if len(rows) > 1 else ''} {', '.join(words)}{rest}"
 
 
-def velocity_faults(log: Log) -> list[Fault]:
-    """Faults that show in the velocity against the position."""
+def velocity_faults(log: Log, limits: Array) -> list[Fault]:
+    """Faults that show in the velocity against the position; no clock makes dq exceed its limits.
+
+    These, (nv,), are those of speed.
+    """
     b, error, follows = _slopes(log)
     tolerance = np.maximum(_MARGIN, normal_bound(log.nv) * error)
     wrong = [j for j in follows if abs(b[j] - 1) > tolerance[j]]
     shared = _shared_slope(b[follows]) if wrong == follows else None
-    of_clock = shared is not None and shared > 0
+    peaks = np.zeros(log.nv) if log.dq is None else np.abs(log.dq).max(axis=0)
+    possible = bool(np.median(peaks / limits) < FASTEST)
+    of_clock = shared is not None and shared > 0 and possible
     if len(log) > 3 and (np.diff(log.t) == 1.0).all():
         first, last = log.t[[0, -1]]
         detail = f"every time step is exactly 1, so t counts samples ({first:g} to {last:g})"

@@ -59,12 +59,18 @@ class Smooth(NamedTuple):
     rate: float  # rows per time unit of the log
     recorded: Rows  # column of the log that each joint's torque is, shape (nv,)
     scale: Array  # of each torque per its reading, without sign, shape (nv,)
+    since: Array | None = (
+        None  # when dry friction and offset become others, shape (nv,)
+    )
 
     @property
     def effects(self) -> Array:
-        """Columns of each joint's own effects, shape (N, nv, 4)."""
+        """Columns of each joint's own effects, shape (N, nv, 4), or 6 where they change."""
         ones = np.ones_like(self.dry)
         columns = [self.motion.dq, self.dry, self.motion.ddq, ones]
+        if self.since is not None:
+            late = self.motion.t[:, None] >= self.since
+            columns += [late * self.dry, late * ones]
         return np.stack(columns, axis=2)
 
     def remedied(self, remedies: Iterable[Remedy]) -> Smooth:
@@ -192,7 +198,7 @@ class TorqueFit:
 
     @cached_property
     def F(self) -> Array:
-        """Columns of each joint's own effects, shape (n, nv, 4)."""
+        """Columns of each joint's own effects, shape (n, nv, 4 or 6)."""
         return self.data.filtered(self.data.effects)
 
     def _columns(self) -> Array:
@@ -253,7 +259,7 @@ class TorqueFit:
             error = nominal - self.tau[:, j]
             unknown = [torque[:, :-1], np.outer(nominal, own), error]
             columns = np.column_stack(unknown)
-            braking = np.append(F[:, 0] @ F[:, :2], np.zeros(2))
+            braking = np.append(F[:, 0] @ F[:, :2], np.zeros(F.shape[1] - 2))
             x = _solve(F.T @ F, braking)
             friction.append(np.append(F @ x @ columns, braking @ x))
             free.append(without_effects(F, columns)[0])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from os.path import isdir
@@ -20,6 +20,7 @@ from excitant.identify.reading.mapping import ColumnMap
 from excitant.identify.reading.names import meaning
 from excitant.identify.reading.text import text_table
 from excitant.identify.recording import (
+    FASTEST,
     MINIMUM_DURATION,
     Recording,
     checked,
@@ -53,7 +54,6 @@ SUFFIXES = (
 TEXTS = tuple(s for s in _READERS if s.removesuffix(".gz") in _LINES)
 """Ends of the names of recordings whose lines, where there are many, are samples."""
 _TORQUES = {"tau", "i"}
-_FASTEST = 3.0  # times the velocity limit: no arm moves so in most rows
 _REMEMBERED = 100  # unreadable cells whose text is kept
 
 
@@ -265,7 +265,7 @@ def _possible(q: Array, robot: Robot | int, step: float) -> bool:
     speed = np.median(np.abs(q[rows:] - q[:-rows]), axis=0) / (rows * step)
     limit = np.inf if isinstance(robot, int) else robot.limits.velocity
     believed = np.abs(q).max(axis=0) <= 2 * np.pi
-    return not (believed & (speed > _FASTEST * limit)).any()
+    return not (believed & (speed > FASTEST * limit)).any()
 
 
 def _in_si_units(

@@ -190,6 +190,18 @@ def test_what_is_small_coarse_or_pushed_is_told_for_nothing_else(kind, arm, seed
     assert found & {*OF_THE_ARM, "wrong_unit", "saturation"} == told
 
 
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (MADE["brakes_close"][1], ("corrupt_rows", "tau")),
+        (lambda run: replace(run.log, dq=101 * run.log.dq), ("wrong_unit", "dq")),
+    ],
+)
+def test_brakes_and_speeds_of_motors_are_told_as_such(change, told):
+    run = run_of(load_robot("so100"), (3, 41, 0))
+    assert {(f.fault, f.channel) for f in find_faults(run.robot, change(run))} == {told}
+
+
 def test_channels_of_a_joint_that_stands_are_not_dead(planar: Robot, exact: Call) -> None:
     """Noise-free, while the other joint moves."""
     run = exact(planar, np.arange(0, 8, 0.01))
