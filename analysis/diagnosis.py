@@ -500,11 +500,14 @@ def _extended(
         complete = confirmed(fit.extender, more)
         if holdout.worse(fit.predicted, complete.predicted, SEARCH.gain):
             fit = complete
-    # causes that predict worse than bodies and usual effects as free as in identify are none
+    # causes that predict worse than bodies and standard effects as free as in identify are none
     usual = [c for c in first.evidence.candidates if c.effect.search.standard]
-    free = first.by_data(usual)
-    if holdout.worse(fit.predicted, free(usual).predicted, CONFIRMATION.floor):
-        fit = confirmed(free, usual)
+    free = first.by_data(usual)(usual)
+    if holdout.worse(fit.predicted, free.predicted, CONFIRMATION.floor):
+        found = {c.effect for c in fit.chosen if c.effect.search.usual}
+        more = [c for c in first.evidence.candidates if c.effect in found]
+        usual = list(dict.fromkeys([*usual, *more]))
+        fit = confirmed(first.by_data(usual), usual)
     fit = fit.settled()
     if holdout.worse(fit.predicted, holdout.mounted):
         fit = unextended(fit.evidence, holdout)

@@ -245,7 +245,8 @@ def _masses(
             effect.owners(robot), nominal, change, strict=True
         )
     )
-    return f"The given inertias are off at several links, so they were re-identified ({masses})"
+    where = "several links" if len(change) > 1 else "one link"
+    return f"The given inertias are off at {where}, so they were re-identified ({masses})"
 
 
 class GivenInertias(InertialParameters):
