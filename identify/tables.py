@@ -89,17 +89,20 @@ def of_bodies(estimate: Estimate) -> list[Objection]:
     bodies = zip(
         body_changes(estimate)[:-1], placeholder_links(estimate.given), strict=False
     )
-    far = [
-        f"{body['link']} has {mass['value']:.2g} kg, not {mass['given']:.3g} kg as given"
+    changes = {
+        f"{body['link']} has {mass['value']:.2g} kg, not {mass['given']:.3g} kg as given": change
         for body, holds_a_place in bodies
         if body["moved"] and not holds_a_place
         if (mass := body["mass"])["decided_by"] != "data"
-        and abs(np.log(mass["value"] / mass["given"])) > np.log(IMPOSSIBLE_CHANGE)
-    ]
-    if not far:
+        and abs(change := np.log(mass["value"] / mass["given"]))
+        > np.log(IMPOSSIBLE_CHANGE)
+    }
+    if not changes:
         return []
-    why = f"{'; '.join(far)}, which the data do not tell alone"
+    why = f"{'; '.join(changes)}, which the data do not tell alone"
     advice = "excite more, or say what is known of these bodies (--knowledge)"
+    if max(changes.values()) < 0 and 2 * len(changes) >= estimate.given.nv:
+        advice = f"see whether torque is that of motors, or in another unit; else {advice}"
     return [Objection(why, advice)]
 
 

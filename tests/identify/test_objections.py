@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from excitant.identify import (
 from excitant.identify.export import hold_out
 from excitant.identify.objections import MISSED, HoldOut, objections
 from excitant.identify.tables import of_bodies
-from excitant.robots import Robot
+from excitant.robots import Robot, load_robot
 
 TIME = np.arange(0, 12, 1 / 100)
 Exact = Callable[..., Recording]
@@ -78,6 +79,18 @@ def test_masses_that_no_description_misses_so_far_forbid_it(data_folder: Path) -
     # of links of which nothing is said none is too far off
     bare = replace(found, given=arm.robot.with_parameters(np.tile(arm.robot.phi[:10], 6)))
     assert not of_bodies(bare)
+
+
+@pytest.mark.parametrize(("masses", "asked"), [((0.1, 0.1), True), ((0.1, 9.0), False)])
+def test_bodies_that_are_all_too_light_ask_for_the_unit(
+    masses: tuple[float, ...], asked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = load_robot("puma560")
+    told = [{"given": 1.0, "value": mass, "decided_by": "prior"} for mass in (*masses, 0.1, 0.1)]
+    changes = [{"link": f"{k}", "moved": "far", "mass": mass} for k, mass in enumerate(told)]
+    monkeypatch.setattr("excitant.identify.tables.body_changes", lambda estimate: changes)
+    [objection] = of_bodies(SimpleNamespace(given=robot))
+    assert ("torque is that of motors" in objection.advice) == asked
 
 
 @pytest.mark.parametrize(
