@@ -38,7 +38,7 @@ from excitant.robots.effects import (
     amended,
     merged,
 )
-from excitant.robots.effects.body import GivenInertias
+from excitant.robots.effects.body import GivenInertias, InertialParameters
 from excitant.robots.motion import Array, root_mean_square
 from excitant.robots.parameters import from_pseudo_inertia
 from excitant.robots.robot import Robot
@@ -690,7 +690,8 @@ def off_bodies(fit: Extension, holdout: Holdout) -> Finding | None:
     }
 
     def of(*joints: str) -> Finding:
-        return _refitted(fit, holdout, GivenInertias(joints))
+        kind = GivenInertias if len(joints) > 1 else InertialParameters
+        return _refitted(fit, holdout, kind(joints))
 
     others = (joint for joint in robot.joints if joint not in changed)
     off = [joint for joint in others if of(joint).significant]

@@ -210,7 +210,7 @@ def _wrong_mass(
         name = STANDARD[told]
         return f"The inertial parameters of {link} are wrong (its {name} is off by {sizes[told]})"
     mass = sizes[0].value
-    size = f"{abs(mass):.2f}{sizes[0].spread()} kg {'lighter' if mass < 0 else 'heavier'}"
+    size = f"{abs(mass):.3g}{sizes[0].spread()} kg {'lighter' if mass < 0 else 'heavier'}"
     if link == robot.links[-1] and mass < 0:
         return f"{link} is {size} than the model says, as if a tool in the model were not mounted"
     return f"The inertial parameters of {link} are wrong (it is {size} than the model says)"
@@ -245,8 +245,7 @@ def _masses(
             effect.owners(robot), nominal, change, strict=True
         )
     )
-    where = "several links" if len(change) > 1 else "one link"
-    return f"The given inertias are off at {where}, so they were re-identified ({masses})"
+    return f"The given inertias are off at several links, so they were re-identified ({masses})"
 
 
 class GivenInertias(InertialParameters):
