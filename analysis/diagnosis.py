@@ -30,7 +30,6 @@ from excitant.analysis.diagnosis_result import (
     findings_of,
     result_of,
 )
-from excitant.analysis.downgrade import reason_to_downgrade
 from excitant.analysis.evidence import Key
 from excitant.analysis.explanation import (
     Item,
@@ -39,6 +38,7 @@ from excitant.analysis.explanation import (
     is_slight,
     lacking_friction,
     ordered,
+    reason_to_downgrade,
 )
 from excitant.analysis.residuals import Residual, residuals
 from excitant.analysis.selection import (
@@ -55,6 +55,7 @@ from excitant.exceptions import BadInput, Infeasible, RankDeficient
 from excitant.identify.accuracy import Accuracy, series
 from excitant.identify.attenuation import coarseness, half_segments
 from excitant.identify.drive_gains import DriveGains
+from excitant.identify.estimators import estimated
 from excitant.identify.least_squares import (
     LeastSquares,
     weighted_least_squares,
@@ -271,7 +272,7 @@ def diagnose(
         else ()
     )
     logs = fitted(repaired[:count], repaired[count:])
-    identified = _as_identified(mounted.robot, data)
+    identified = _as_identified(mounted.robot, data, logs)
     diagnosis = _of_data(mounted, data, identified, logs, raw)
     # what a repair does is judged on the data as they are
     if raw or identified.fit is None:
@@ -281,7 +282,7 @@ def diagnose(
     if not found:
         return diagnosis
     alike = _without(data, found, model, identified.rows.gains)
-    identified = _as_identified(mounted.robot, alike)
+    identified = _as_identified(mounted.robot, alike, logs)
     again = _of_data(mounted, alike, identified, logs, raw)
     if again.squares >= LEAVES * diagnosis.squares:
         return diagnosis
@@ -608,7 +609,9 @@ class _Identified(NamedTuple):
         return given.with_effects(self.model.effects)
 
 
-def _as_identified(robot: Robot, data: Data) -> _Identified:
+def _as_identified(
+    robot: Robot, data: Data, logs: Sequence[Recording]
+) -> _Identified:
     """The identification by the rows of identify.
 
     Drive gains are those that suit the nominal bodies best, friction left free.
@@ -618,6 +621,8 @@ def _as_identified(robot: Robot, data: Data) -> _Identified:
     rows, turnings = turned_rows(robot, usual, base, data)
     try:
         fit = weighted_least_squares(rows.reduced)
+        if data.unit == "A":
+            rows, fit, *_ = estimated(rows, logs, None)
         R, z = rows.regression.factor(fit.weight)
         physical = fit_physical(R, z, prior_parameters(robot), rows.open_prior)
     except (RankDeficient, Infeasible):

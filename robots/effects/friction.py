@@ -460,20 +460,27 @@ def _warming(effect: ThermalFrictionDrift, facts: JointFacts) -> list[Effect]:
     return [replace(effect, time=float(time), start=facts.start) for time in times]
 
 
+def _gaining(
+    effect: ThermalFrictionDrift, robot: Robot, values: Array, std: Array
+) -> str:
+    """Why a drift is another one: a start from rest, say, whose law is not known."""
+    if above(values, 0.0, std):
+        return ""
+    return "a joint that warms up would gain friction at some speed"
+
+
 @registered
 class ThermalFrictionDrift(_Friction, JointwiseEffect):
     """τ = e^{−(t − t_0)/T} (F_v q̇ + F_c sign q̇): what friction loses while the joint warms up."""
 
     name = "thermal_friction_drift"
-    terms = (
-        Parameter("Fv_cold", "N·m·s/rad", 0.0),
-        Parameter("Fc_cold", "N·m", 0.0),
-    )
+    terms = (Parameter("Fv_cold", "N·m·s/rad"), Parameter("Fc_cold", "N·m"))
     physics = Physics("motion")
     search = Search(
         shapes=(Shape("time", "s", most=lambda facts: facts.duration),),
         contains=("viscous_friction", "coulomb_friction"),
         candidates=_warming,
+        doubt=_gaining,
     )
     words = Words("time")
 

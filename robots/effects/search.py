@@ -183,6 +183,7 @@ class Search:
         refined: Shapes to consider beside one that was selected and others around it.
         feasible: Whether coefficients (k,) with standard deviations (k,) on top of a robot's own
             are possible, beyond the bounds of its terms.
+        doubt: Why such coefficients, possible as they are, are not what its name says; or empty.
     """
 
     stage: Stage = "further"
@@ -195,6 +196,7 @@ class Search:
     trials: Callable[[JointFacts], int] = lambda facts: 1
     refined: Callable[[Any, Iterable[Effect], JointFacts], list[Effect]] = between
     feasible: Callable[[Any, Robot, Array, Array], bool] | None = None
+    doubt: Callable[[Any, Robot, Array, Array], str] = lambda *_: ""
 
     @property
     def standard(self) -> bool:

@@ -16,9 +16,8 @@ from planted import DRAWN, SCALAR, Case, Diagnosed, Runs, hidden
 
 from excitant.analysis.confirmation import Extender, Extension, Holdout, HoldoutScale, _cancelled
 from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.downgrade import reason_to_downgrade
 from excitant.analysis.evidence import are_placeholders
-from excitant.analysis.explanation import at_rest, headline
+from excitant.analysis.explanation import at_rest, headline, reason_to_downgrade
 from excitant.analysis.residuals import QUANTITIES, Residual
 from excitant.analysis.selection import Rival
 from excitant.analysis.thresholds import CONFIRMATION
@@ -240,7 +239,7 @@ def cause(
     """Its effect, and its torque at each of two joints."""
     shown = {"effect": EFFECTS[kind]((joint,), **shape), "explained": explained, "scale": scale}
     shown["part"] = explained
-    shown |= {"by_chance": lambda level: False, "is_open": False, "is_vague": False}
+    shown |= {"by_chance": lambda level: False, "is_open": False, "is_vague": False, "std": 0.0}
     return SimpleNamespace(**shown, torque=np.ones((100, 1)) * torque, share=1.0)
 
 
@@ -359,6 +358,14 @@ def test_no_link_but_that_of_the_tool_loses_half_of_its_mass(joints, left, said)
     reason = reason_among(body)
     assert said in reason
     assert bool(said) == bool(reason)
+
+
+@pytest.mark.parametrize(("dry", "said"), [(700.0, ""), (-700.0, "would gain friction")])
+def test_a_joint_that_warms_up_loses_friction(dry: float, said: str) -> None:
+    drift = cause("thermal_friction_drift")
+    vars(drift)["effect"] = drift.effect.with_values((50.0, dry))
+    assert said in reason_among(drift)
+    assert bool(said) == bool(reason_among(drift))
 
 
 def test_a_rival_that_needs_the_link_too_is_none(coulomb: Diagnosis) -> None:
