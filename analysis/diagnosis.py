@@ -620,9 +620,10 @@ def _as_identified(
     base = base_parameters(robot, usual)
     rows, turnings = turned_rows(robot, usual, base, data)
     try:
-        fit = weighted_least_squares(rows.reduced)
         if data.unit == "A":
             rows, fit, *_ = estimated(rows, logs, None)
+        else:
+            fit = weighted_least_squares(rows.reduced)
         R, z = rows.regression.factor(fit.weight)
         physical = fit_physical(R, z, prior_parameters(robot), rows.open_prior)
     except (RankDeficient, Infeasible):

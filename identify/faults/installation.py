@@ -1157,6 +1157,7 @@ def _changes(fit: TorqueFit) -> Iterator[Installation]:
         return
     t = data.motion.t
     nv = fit.robot.nv
+    # a fifth of the log, at either end, says too little of one of the two
     times = np.linspace(t[0], t[-1], SEARCH.scales)[6:-6]
     rises = _rises(fit, (data._replace(since=np.full(nv, x)) for x in times))
     every = tuple(range(nv))
