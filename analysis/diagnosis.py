@@ -84,7 +84,7 @@ from excitant.robots.effects import (
 )
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
-from excitant.robots.shown import Shown, Table, data_frame, share
+from excitant.robots.shown import Shown, Table, data_frame, worst_and_median
 from excitant.robots.threads import on_one_thread
 
 if TYPE_CHECKING:
@@ -221,14 +221,15 @@ class Diagnosis(Shown):
         return data_frame(findings_of(self, _NO_PLAN), "effect", _COLUMNS)
 
     def _lines(self) -> list[str]:
-        before = share(float(np.nanmedian(self.simulation.nrmse)))
-        after = share(float(np.nanmedian(self.extended.nrmse)))
+        joints = self.robot.joints
+        before = worst_and_median(joints, self.simulation.nrmse)
+        after = worst_and_median(joints, self.extended.nrmse)
         count = len(self.findings)
         return [
             f"Errors of the model of {self.robot.name} by cause: "
             f"{count} finding{'s' * (count != 1)}",
             self.headline,
-            f"error {before} → {after} (nrmse, median over joints, on the hold-out)",
+            f"error at most {before} → {after} (nrmse, on the hold-out)",
         ]
 
     def _table(self) -> Table:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.explanation import percent, placeholders
+from excitant.analysis.explanation import placeholders
 from excitant.analysis.identifiability import Identifiability, analyze
 from excitant.analysis.publication import extended_publication
 from excitant.identify.accuracy import Accuracy
@@ -22,11 +22,9 @@ from excitant.robots.check import ModelCheck
 from excitant.robots.effects import plain
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
-from excitant.robots.shown import Shown, Table
+from excitant.robots.shown import Shown, Table, worst_and_median
 
 _SAME = 0.05  # of the error: a model that gains no more is not worth a change
-_STANDS_OUT = 2.0  # times the median of the joints
-_SEEN = 0.1  # and nrmse: an error worth a word
 _POOR = 0.5  # nrmse from which on it is said that a joint is hardly predicted
 _NAMED = 3  # effects that are said to be lacking in a file
 _COMPLETE = {"identified": "model.yaml", "extended": "extended.yaml"}
@@ -108,7 +106,11 @@ class Examination(Shown):
             return [
                 "The recordings are wrong, and so is what they say of any model."
             ]
-        given, identified, extended = map(self._misses, self.accuracies.values())
+        joints = self.check.robot.joints
+        given, identified, extended = (
+            worst_and_median(joints, accuracy.nrmse)
+            for accuracy in self.accuracies.values()
+        )
         advice = (
             "Keep the given model: no other is better"
             if self.use
@@ -116,11 +118,7 @@ class Examination(Shown):
         )
         if self.recommended:
             missed = self.accuracies[self.use].nrmse > _POOR
-            poor = [
-                j
-                for j, yes in zip(self.check.robot.joints, missed, strict=True)
-                if yes
-            ]
+            poor = [j for j, yes in zip(joints, missed, strict=True) if yes]
             advice = f"Use {self.recommended[0]}"
             advice += (
                 f", except at {', '.join(poor)}, where it misses more than half"
@@ -129,8 +127,8 @@ class Examination(Shown):
             )
             advice += self._without
         return [
-            f"Of the torque, the given model misses {given}, the identified one {identified}, the "
-            f"extended one {extended}.",
+            f"Of the torque, the given model misses at most {given}, the identified one "
+            f"{identified}, the extended one {extended}.",
             f"Main cause: {self._cause}.",
             f"{advice}.",
         ]
@@ -151,17 +149,6 @@ class Examination(Shown):
             for rival in lead["rivals"]
         ]
         return f"{lead['sentence']} ({lead['verdict']}{''.join(alike[:1])})"
-
-    def _misses(self, accuracy: Accuracy) -> str:
-        """The error of a model in words, with that of a joint which stands out."""
-        median = float(np.nanmedian(accuracy.nrmse))
-        worst = int(np.nanargmax(accuracy.nrmse))
-        joint = self.check.robot.joints[worst]
-        most = float(accuracy.nrmse[worst])
-        stands_out = most > max(_STANDS_OUT * median, _SEEN)
-        return (
-            f"{percent(median)} %" + f" ({joint}: {percent(most)} %)" * stands_out
-        )
 
     @property
     def recommended(self) -> tuple[str, ...]:

@@ -203,11 +203,6 @@ def headline(diagnosis: Diagnosis) -> str:
     return cause
 
 
-def percent(share: float) -> str:
-    """A share in per cent, to two digits."""
-    return f"{100 * share:.0f}" if share >= 0.1 else f"{100 * share:.2g}"
-
-
 def unexplained(residuals: Sequence[Residual], diagnosis: Diagnosis) -> str:
     """How much remains that no cause explains, joint by joint, and what it depends on."""
 

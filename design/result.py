@@ -19,7 +19,7 @@ from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.geometry import Scene
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
-from excitant.robots.shown import Shown, Table, share
+from excitant.robots.shown import Shown, Table
 from excitant.robots.torque import column_units, known_values, torque
 
 _DENSE_HZ = 100.0  # samples of the figures reported: rate
@@ -207,7 +207,8 @@ class Design(Shown):
             f"Design for {self.robot.name}: condition number {first:.4g} → {last:.4g}",
             f"{self.duration:.4g} s, {self.harmonics} harmonics, criterion {self.criterion}, "
             f"{len(self.base)} base parameters",
-            f"uses at most {share(worst.ratio)} of a limit ({worst.quantity} of {worst.joint})",
+            f"uses at most {100 * worst.ratio:.3g} % of a limit "
+            f"({worst.quantity} of {worst.joint})",
         ]
 
     def _table(self) -> Table:
@@ -286,7 +287,8 @@ class TrajectoryCheck(Playback, Shown):
 
     def _table(self) -> Table:
         rows = [
-            (use.quantity, use.joint, share(use.ratio)) for use in self.limits.uses
+            (use.quantity, use.joint, f"{100 * use.ratio:.3g} %")
+            for use in self.limits.uses
         ]
         return ("limit", "joint", "used"), rows
 

@@ -89,7 +89,7 @@ from excitant.robots.effects import Effect, plain
 from excitant.robots.motion import Array, Mask, Motion, interpolated, read_only
 from excitant.robots.parameters import BaseEstimate, is_covariance, violations
 from excitant.robots.robot import Robot
-from excitant.robots.shown import Shown, Table, data_frame, share
+from excitant.robots.shown import Shown, Table, data_frame, worst_and_median
 from excitant.robots.threads import on_one_thread
 from excitant.robots.torque import torque
 
@@ -278,8 +278,9 @@ class Estimate(Shown):
         return tables.series_of(self)
 
     def _lines(self) -> list[str]:
+        joints = self.given.joints
         errors = (
-            share(float(np.nanmedian(x.nrmse)))
+            worst_and_median(joints, x.nrmse)
             for x in (self.baseline, self.validate)
         )
         at_rest = self.data.poses is not None
@@ -288,7 +289,7 @@ class Estimate(Shown):
         effects = self.model.effects
         return [
             f"Estimate of {self.given.name} ({self.estimator}), on the hold-out",
-            f"error {' → '.join(errors)} (nrmse, median over joints, {where})",
+            f"error at most {' → '.join(errors)} (nrmse, {where})",
             f"{len(self.base)} base parameters, {'not ' * bool(broken)}physically consistent; "
             f"effects: {', '.join(dict.fromkeys(plain(e.name) for e in effects)) or 'none'}",
         ]

@@ -2,8 +2,8 @@
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,10 +30,30 @@ def reals(values: Sequence[float | None]) -> Array:
     return np.array(values, dtype=float)
 
 
-def median(values: Iterable[float | None]) -> float | None:
-    """Median of the numbers that are known, e.g. of an error over joints; None without any."""
-    known = [x for x in values if x is not None]
-    return float(np.median(known)) if known else None
+class Missed(NamedTuple):
+    """Relative error of a model at the joint that is worst, and the median of several joints."""
+
+    worst: float | None = None
+    joint: str = ""
+    median: float | None = None
+
+
+def missed(errors: Mapping[str, float | None]) -> Missed:
+    """The worst and the median of the errors that are known, by joint."""
+    known = {joint: x for joint, x in errors.items() if x is not None}
+    if not known:
+        return Missed()
+    joint = max(known, key=lambda name: known[name])
+    median = float(np.median(list(known.values()))) if len(known) > 1 else None
+    return Missed(known[joint], joint, median)
+
+
+def errors(before: Missed, after: Missed) -> tuple[str, str]:
+    """Errors of two models at their worst joints, and in words the joint and the medians."""
+    joint = after.joint or before.joint
+    median = change(before.median, after.median, percent)
+    remark = f"worst joint, {joint}" + f"; median {median}" * (median != NONE)
+    return change(before.worst, after.worst, percent), remark
 
 
 def array(series: Series, key: str, *shape: int | None) -> Array | None:

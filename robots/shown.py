@@ -6,7 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from excitant.names import printable
+from excitant.robots.motion import Array
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,9 +47,18 @@ def cut(line: str) -> str:
     return line if len(line) <= _LETTERS else line[: _LETTERS - 1] + "…"
 
 
-def share(value: float) -> str:
-    """A share in words, as a percentage."""
-    return f"{100 * value:.3g} %"
+def percent(share: float) -> str:
+    """A share as a percentage, to two digits."""
+    digits = ".0f" if share >= 0.1 else ".2g"
+    return f"{100 * share:{digits}} %"
+
+
+def worst_and_median(joints: Sequence[str], errors: Array) -> str:
+    """Relative errors of joints in words, the worst before the median, NaN left out."""
+    worst = int(np.nanargmax(errors))
+    most = percent(float(errors[worst]))
+    median = percent(float(np.nanmedian(errors)))
+    return f"{most} ({joints[worst]}; median {median})" if len(joints) > 1 else most
 
 
 def html_table(

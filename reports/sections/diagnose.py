@@ -159,17 +159,17 @@ def _facts(result: Diagnose) -> p.Facts | None:
         for word in dict.fromkeys(verdicts)
         if (n := verdicts.count(word))
     ]
-    before = v.median(row.nrmse for row in result.simulation.joints)
-    after = None
+    before = v.missed({row.name: row.nrmse for row in result.simulation.joints})
+    after = v.Missed()
     if _changed(result):
-        after = v.median(row.nrmse for row in result.extended.joints)
-    errors = v.change(before, after, v.percent)
+        after = v.missed({row.name: row.nrmse for row in result.extended.joints})
+    errors, worst = v.errors(before, after)
     return p.facts(
         p.Fact(
             "Hold-out error",
             errors,
-            "nrmse, median over joints",
-            number=after or before,
+            f"nrmse, {worst}",
+            number=after.worst or before.worst,
         ),
         p.fact(
             "Findings",

@@ -107,10 +107,9 @@ def identify_section(result: Identify, series: Series) -> p.Section:
 def _brief(result: Identify) -> p.Brief:
     """Error, hold-out, and links of a published model whose mass or centre moved by half."""
     consistent = result.physical.consistent
-    error = (
-        f"hold-out error {v.change(*_errors_of(result), v.percent)} (nrmse, median over joints)"
-        f"{_worst(result)}, {'physically consistent' if consistent else 'not physical'}"
-    )
+    errors, worst = v.errors(*_missed(result))
+    physical = "physically consistent" if consistent else "not physical"
+    error = f"hold-out error {errors} (nrmse, {worst}), {physical}"
     moved = [row.moved for row in result.links if row.moved and not result.refusal]
     if len(moved) > _FEW:
         moved = [*moved[: _FEW - 1], f"and {len(moved) - _FEW + 1} more"]
@@ -118,19 +117,6 @@ def _brief(result: Identify) -> p.Brief:
     holdout = f"{result.holdout}{_least_judged(result)}"
     files = refitted_line(result.exported)
     return ("identified", error), ("", holdout), *files, *lines
-
-
-def _worst(result: Identify) -> str:
-    """The joint that is missed most of several, after a comma."""
-    missed = {
-        row.name: row.validate.nrmse
-        for row in result.joints
-        if row.validate.nrmse is not None
-    }
-    if len(missed) < 2:
-        return ""
-    worst = max(missed, key=lambda name: missed[name])
-    return f", worst {worst} {v.percent(missed[worst])}"
 
 
 def _least_judged(result: Identify) -> str:
@@ -161,8 +147,8 @@ def exported_table(files: list[ExportedFile]) -> p.Table | None:
         files,
         [
             ("name:File", "file"),
-            ("number:Error, median joint", lambda row: _error(row, np.median)),
-            ("number:worst joint", lambda row: _error(row, max)),
+            ("number:Error, worst joint", lambda row: _error(row, max)),
+            ("number:median", lambda row: _error(row, np.median)),
             ("text:Lacks", missing),
         ],
         "Error on the hold-out (nrmse) of what a program reads from each file: what its format "
@@ -174,7 +160,7 @@ def exported_table(files: list[ExportedFile]) -> p.Table | None:
 def refitted_line(files: list[ExportedFile]) -> p.Brief:
     """Files that are refitted, with their errors, as a line; none without any."""
     errors = [
-        f"{row.file} {_error(row, np.median)}, worst joint {_error(row, max)}"
+        f"{row.file} {_error(row, max)} at the worst joint, median {_error(row, np.median)}"
         for row in files
         if row.refitted and row.written
     ]
@@ -226,41 +212,42 @@ def _remedy(fault: Fault) -> str:
     return f"not repaired; {stated or known}"
 
 
-def _errors_of(result: Identify) -> tuple[float | None, float | None]:
-    """Nrmse of the given and of the identified model on the hold-out, medians over joints."""
-    given = v.median(row.baseline.nrmse for row in result.joints)
-    return given, v.median(row.validate.nrmse for row in result.joints)
+def _missed(result: Identify) -> tuple[v.Missed, v.Missed]:
+    """What the given and the identified model miss of the hold-out's torque."""
+    given = v.missed({row.name: row.baseline.nrmse for row in result.joints})
+    return given, v.missed({row.name: row.validate.nrmse for row in result.joints})
 
 
 def _lead(result: Identify) -> str:
-    given, identified = _errors_of(result)
+    given, identified = _missed(result)
     subject = f"The identified model of {result.robot}"
-    if identified is None:
+    if identified.worst is None:
         return f"{subject} is described below."
     instead = ""
-    if given is not None:
-        instead = f" instead of {v.percent(given)} with the model as given"
+    if given.worst is not None:
+        instead = f" instead of {v.percent(given.worst)} with the model as given"
     return (
-        f"{subject} misses {v.percent(identified)} of the measured torque on the hold-out{instead} "
-        f"(rms over standard deviation, median over joints). {v.sentence(result.holdout)}"
+        f"{subject} misses at most {v.percent(identified.worst)} of the measured torque of a joint "
+        f"on the hold-out ({identified.joint}){instead} (rms over standard deviation). "
+        f"{v.sentence(result.holdout)}"
     )
 
 
 def _facts(result: Identify) -> p.Facts | None:
-    given, identified = _errors_of(result)
     physical = ("yes", p.GOOD) if result.physical.consistent else ("no", p.POOR)
     faults = Counter(v.plain(fault.fault) for fault in result.faults or [])
     kinds = v.listing(
         [f"{n} {kind}" for kind, n in faults.items()], "none was found"
     )
-    remark = "given → identified; nrmse, median over joints"
     count = None if result.faults is None else len(result.faults)
+    given, identified = _missed(result)
+    errors, worst = v.errors(given, identified)
     return p.facts(
         p.Fact(
             "Hold-out error",
-            v.change(given, identified, v.percent),
-            remark,
-            number=identified,
+            errors,
+            f"given → identified; nrmse, {worst}",
+            number=identified.worst,
         ),
         p.Fact(
             "Physically consistent",

@@ -89,7 +89,7 @@ def test_terminal_shows_leads_and_what_is_marked(make):
         ("robots", "checked      4 joints, "),
         ("design", "designed     condition number 171 → 9.31, limits used up to 100.0 %"),
         ("check", "checked      velocity of elbow_joint reaches 131 % of its limit"),
-        ("identify", "identified   hold-out error 62 % → 6.5 % (nrmse, median over joints)"),
+        ("identify", "identified   hold-out error > 999 % → 7.6 % (nrmse, worst joint, elbow_"),
         ("analyze", "identifiable 58 combinations of 84 parameters; "),
         ("diagnose", "diagnosed    elbow_joint has Stribeck friction"),
         ("diagnose", "data fault   saturation, elbow_joint: 41 samples at ±87 N·m"),
