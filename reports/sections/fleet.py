@@ -37,7 +37,7 @@ def fleet_section(result: Fleet, series: Series) -> p.Section:
     arms = len({row.arm for row in odd})
     changing = len({row.arm for row in drifts})
     lead = (
-        f"{result.arms} arms, {len(sets)} data sets: "
+        f"{_counted(result.arms, 'arm', 'arms')}, {_counted(len(sets), 'data set', 'data sets')}: "
         f"{_counted(arms, 'differs from its siblings', 'differ from their siblings')}, "
         f"{_counted(changing, 'changes', 'change')} with time"
     )
@@ -195,7 +195,9 @@ def _sets(sets: list[DataSet]) -> p.Table | None:
             ("name:Date", "date"),
             (
                 "text:Diagnosis",
-                lambda r: " ".join(r.found) or "nothing stands out",
+                lambda r: (
+                    " ".join(map(v.sentence, r.found)) or "nothing stands out"
+                ),
             ),
         ],
         "What diagnose says of each; its pages are in the folder arms.",
