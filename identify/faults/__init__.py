@@ -14,6 +14,7 @@ import numpy as np
 from excitant.exceptions import BadRecording, FaultWarning
 from excitant.identify.faults.channels import (
     dead_channels,
+    excited_together,
     held_channels,
     jumps_and_outliers,
     missing_values,
@@ -186,6 +187,13 @@ def faults_of(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     return _known[recording][1]
 
 
+def _excited(robot: Robot, recordings: Sequence[Recording]) -> bool:
+    """Whether several recordings together excite what each alone does not."""
+    data = [smooth(Log.of(robot, recording)) for recording in recordings]
+    moving = [each for each in data if each is not None]
+    return len(moving) > 1 and excited_together(robot, moving)
+
+
 def find_copies(recordings: Mapping[str, Recording]) -> dict[str, Fault]:
     """Faults, by name, of recordings with all values of an earlier one, whatever their times."""
     first: dict[bytes, str] = {}
@@ -354,6 +362,9 @@ def check_recordings(
         [fault for fault in faults_of(robot, each) if fault.fault in only]
         for each in exchanged
     ]
+    poor = {f for faults in alone for f in faults if f.fault == "poor_excitation"}
+    if poor and _excited(robot, exchanged):
+        alone = [[f for f in faults if f not in poor] for faults in alone]
     faults = dict[str, tuple[Fault, ...]]()
     notes = list[str]()
     usable = list[Recording]()

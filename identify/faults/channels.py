@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import ExcitantError
-from excitant.identify.excitation import persistency
+from excitant.identify.excitation import ROWS_PER_SECOND, persistency
 from excitant.identify.faults.fault import (
     ALARM,
     DECODED,
@@ -32,10 +32,13 @@ from excitant.identify.faults.time import hidden_gaps
 from excitant.identify.faults.torque_fit import Smooth, TorqueFit
 from excitant.identify.signals import noise, quantum
 from excitant.robots.effects.sensing import LONGEST_DELAY
-from excitant.robots.motion import Array, root_mean_square
+from excitant.robots.motion import Array, Motion, root_mean_square, together
 from excitant.robots.robot import Robot
 
 _NONE: Rows = np.zeros(0, np.intp)
+_WORTH = (
+    0.1  # of the prior's information: less makes nothing more certain by even 5 %
+)
 _OUTLIER = np.array([1 / 6, -2 / 3, 1.0, -2 / 3, 1 / 6])
 """Distances from the cubic through the four neighbours, around one outlier."""
 _AT_EXTREME = (
@@ -643,18 +646,27 @@ def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Iterator[Fau
         window = persistency(robot, data.motion)
     except ExcitantError:
         return  # the arm has no inertia to compare with
-    least = 0.1  # of the prior's information: less makes nothing more certain by even 5 %
-    missing = int((window.levels < least).sum())
+    missing = int((window.levels < _WORTH).sum())
     if not missing:
         return
-    visible = len(window.levels)
     lacking = tuple(j for j in log.joints if j in window.joints)
     resting = log.names(np.flatnonzero(still))
     names = lacking or resting or log.joints
-    weakest = ", ".join(window.weakest) or "all"
     detail = (
-        f"{missing} of {visible} directions of the parameters that such an arm can show "
-        f"in this time get less than {least:g} of the information that the given model already "
-        f"has, the weakest {window.level:.2g} ({weakest}); move {', '.join(names)}"
+        f"says less than {_WORTH:g} of what the given model does on {missing} of "
+        f"{len(window.levels)} directions of the parameters, least on "
+        f"{', '.join(window.weakest) or 'all'}; move {', '.join(names)}"
     )
     yield Fault("poor_excitation", names, detail, {})
+
+
+def excited_together(robot: Robot, data: Sequence[Smooth]) -> bool:
+    """Whether several motions together show what one of them alone does not."""
+    step = 1 / (2 * ROWS_PER_SECOND)
+    parts = []
+    for motion in (each.motion for each in data):
+        instants = np.arange(motion.t[0], motion.t[-1], step)
+        parts.append(motion[np.searchsorted(motion.t, instants)])
+    every = together(parts)
+    whole = Motion(step * every.t, every.q, every.dq, every.ddq)
+    return bool((persistency(robot, whole).levels >= _WORTH).all())

@@ -14,6 +14,7 @@ from marks import slow
 
 from excitant.design import random_trajectory
 from excitant.identify import Recording, identify_link_by_link, identify_robot, load_dataset
+from excitant.identify.faults import check_recordings
 from excitant.identify.prior import base_prior
 from excitant.identify.rows import split
 from excitant.identify.sequential import LinkByLink, beginning, further, link_rows, run_stages
@@ -222,3 +223,13 @@ def test_real_joints_moving_one_at_a_time(data_folder: Path) -> None:
         identify_robot(dataset.robot, runs, validate=unseen, effects=effects).validate.rms,
     )
     assert (np.abs(rms / at_once - 1) < 0.1).all()
+
+
+def test_joints_that_move_in_turns_excite_the_arm_together() -> None:
+    robot, rng = load_robot("planar_2r"), np.random.default_rng(4)
+    truth = truth_near(robot, rng)
+    turns = [recorded(robot, truth, rng, f"{j}", moving=[j]) for j in range(2)]
+    both = recorded(robot, truth, rng, "both")
+    for recordings, poor in ((turns[:1], 1), (turns, 0), ([*turns, both], 0)):
+        faults = check_recordings(robot, recordings).faults.values()
+        assert [f.fault for mine in faults for f in mine] == ["poor_excitation"] * poor
