@@ -36,7 +36,7 @@ CUTOFF_REMARK = (
     "errors are judged below it; measured and predicted torque are filtered alike"
 )
 _ENOUGH = 1.0  # excitation at which the last seconds say as much as the prior
-_FEW = 3  # links that moved are told on the terminal
+_FEW = 3  # links that moved, and joints of a fault, are told by name
 _MESSAGES = 8  # shown without opening a fold
 CURVES = Curves(
     "given",
@@ -182,12 +182,17 @@ def fault_table(faults: list[Fault]) -> p.Table | None:
         [
             ("name:Recording", "recording"),
             ("name:Data fault", lambda r: p.Cell(v.plain(r.fault), p.POOR)),
-            ("name:Joints", "joints"),
+            ("name:Joints", _few_or_count),
             ("text:Detail", lambda r: f"{r.detail} ({_remedy(r)})"),
         ],
         "Faults of the data, found before any model was judged by them.",
         brief="data fault",
     )
+
+
+def _few_or_count(fault: Fault) -> str:
+    count = len(fault.joints)
+    return v.listing(fault.joints) if count <= _FEW else f"{count} joints"
 
 
 def _remedy(fault: Fault) -> str:
