@@ -191,7 +191,9 @@ def _passes(x: Array, near: Mask, scatter: float) -> bool:
 def held_channels(log: Log) -> Iterator[Fault]:
     """Channels refreshed more seldom than logged: no change is more frequent than a small one."""
     for name, x in log.channels():
-        columns = zip(x.T, log.moving.T, log.quanta[name], strict=True)
+        # held positions look as noisy as they move
+        moving = log.travel != 0 if name == "q" else log.moving
+        columns = zip(x.T, moving.T, log.quanta[name], strict=True)
         shares = [_held_share(*column) for column in columns]
         held = {j: share for j, share in enumerate(shares) if share > 0}
         if not held:

@@ -89,7 +89,8 @@ def stamp_faults(log: Log) -> tuple[list[Fault], bool]:
 def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
     """Samples that are missing between stamps; none before ``starts`` of other parts [s].
 
-    A stamp that came late is made up for by the next, a sample that is missing is not.
+    A stamp that came late is made up for by the next, a sample that is missing is not. Where steps
+    differ by habit, a gap is longer than they are by chance.
     """
     steps = np.diff(log.t) / log.step
     if len(steps) < 3:
@@ -97,8 +98,9 @@ def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
     steps[np.searchsorted(log.t, starts) - 1] = 1.0
     padded = np.pad(steps, 1, constant_values=1.0)
     pairs = np.minimum(padded[:-2], padded[2:]) + steps
-    nearer_to_two = 1.5
-    at = np.flatnonzero((steps > nearer_to_two) & (pairs > nearer_to_two + 1))
+    habit = float(np.median(np.abs(steps - 1))) / 0.6745
+    longest = max(1.5, 1 + normal_bound(len(steps)) * habit)  # nearer to two
+    at = np.flatnonzero((steps > longest) & (pairs > longest + 1))
     if not len(at):
         return
     missing = int(np.round(steps[at] - 1).sum())

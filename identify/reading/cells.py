@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant.identify.reading.units import ISO, Unit, factor
+from excitant.identify.signals import samples_motion
 from excitant.robots.motion import Array
 
 if TYPE_CHECKING:
@@ -26,6 +27,9 @@ _ORDERS = ("%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S.%f", "%d/%m/%Y %H:%M:%S.%f
 _SECONDS_SINCE_1970 = (0.95e9, 4.2e9)  # the years 2000 to 2103
 _SCALES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _FAR_APART = 0.5  # s: no motion of an arm shows in samples so rare
+_EVEN = 0.05  # of a period: steps that are off by less are regular
+_FEW_ROWS = 50  # of a log whose clock cannot be told
+_SURE_STDS = 3.0
 
 
 def keys_of(names: Sequence[str]) -> list[str]:
@@ -143,6 +147,57 @@ def in_seconds(values: Cells, unit: Unit | None) -> tuple[Array, Array]:
         bad = np.zeros(len(values), bool)
     seconds = np.where(bad, np.nan, ticks // per_second)
     return seconds, (ticks % per_second).astype(float) / per_second
+
+
+def regular_clock(t: Array, q: Array) -> tuple[Array, str]:
+    """Time of rows that were sampled regularly, though their stamps jitter, and what it is.
+
+    Stamps stay, and nothing is said, unless
+
+    - half the steps are off by more than `_EVEN`, and their sum does not wander off a straight
+      line: their deviations from it are in any order;
+    - positions do not change by what the stamps say. Of a step Δt, that is slower or faster by
+      β v (Δt − T) than its neighbours let expect, v the speed and T the period; β is 1 where stamps
+      are those of the samples, 0 where samples are regular.
+
+    Args:
+        t: Stamps, shape (n,) [s].
+        q: Positions, shape (n, nv).
+    """
+    finite = np.isfinite(t).all() and np.isfinite(q).all()
+    if len(t) < _FEW_ROWS or not finite:
+        return t, ""
+    rows = np.arange(len(t))
+    period, start = np.polyfit(rows, t, 1)
+    deviation = t - start - period * rows
+    jitter = float(np.median(np.abs(np.diff(t) - period))) / period
+    if jitter < _EVEN or samples_motion(deviation[:, None]):
+        return t, ""
+    expected, change = _beside(np.diff(q, axis=0))
+    _, more = _beside(np.diff(t) / period)
+    by_stamps = expected * more[:, None]
+    scatter = change.var(axis=0)
+    weight = np.divide(1.0, scatter, out=0 * scatter, where=scatter > 0)
+    power = by_stamps**2 @ weight
+    shown = (by_stamps * change) @ weight
+    total = max(float(power.sum()), 1e-300)
+    beta = float(shown.sum()) / total
+    std = float(np.linalg.norm(shown - beta * power)) / total
+    most = beta + _SURE_STDS * std
+    if not power.any() or most > 0.5:
+        return t, ""
+    what = (
+        f"stamps that jitter by {100 * deviation.std() / period:.2g} % of their step of "
+        f"{period:.4g} s, of which positions follow at most {100 * most:.2g} %: rows are regular, "
+        "and the time is the straight line through the stamps"
+    )
+    return period * rows, what
+
+
+def _beside(x: Array) -> tuple[Array, Array]:
+    """Mean of the two values on either side along the first axis, and what each has more."""
+    mean = (x[:-4] + x[1:-3] + x[3:-1] + x[4:]) / 4
+    return mean, x[2:-2] - mean
 
 
 def _is_date(values: Cells) -> bool:

@@ -247,7 +247,17 @@ def _pieces(
             columns = replace(columns, t_unit=unit, notes=(*columns.notes, *notes))
         timed = True
         raw, origin = _in_si_units(table, frame, columns, origin)
-        yield raw
+        yield raw if rows else _on_its_clock(raw)
+
+
+def _on_its_clock(raw: Recording) -> Recording:
+    """The log with the time of its samples, where its stamps are those of their arrival."""
+    t, what = cells.regular_clock(raw.t, raw.q)
+    if not what:
+        return raw
+    return replace(
+        raw, t=t, notes=(*raw.notes, f"time: {raw.columns[0]} holds {what}")
+    )
 
 
 def _possible(q: Array, robot: Robot | int, step: float) -> bool:
