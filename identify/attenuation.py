@@ -131,7 +131,9 @@ def without_noise(R: Array, errors: Array) -> Array:
 def every_second(recording: Recording, first: int) -> Recording:
     """The motion as its even samples (0) show it, or its odd ones (1), at all instants."""
     t = recording.t
-    parts = [part for part in uninterrupted(t) if len(part[first::2]) > 5]
+    parts = [
+        part for part in uninterrupted(t, recording.q) if len(part[first::2]) > 5
+    ]
 
     def interpolated(channel: Array) -> Array:
         values = np.array(channel)

@@ -442,13 +442,15 @@ def replayable(
     )
     recording = Recording(file, file, np.concatenate(times), q, tau)
     parts = [
-        part for part in uninterrupted(recording.t) if len(part) >= FEWEST_SAMPLES
+        part
+        for part in uninterrupted(recording.t, q)
+        if len(part) >= FEWEST_SAMPLES
     ]
     if not parts:
         raise BadRecording(file, "no five samples without a gap", column="t")
     pieces = zip(*(resampled(recording, part)[:3] for part in parts), strict=True)
     t, q, tau = (np.concatenate(piece) for piece in pieces)
-    longest = max(uninterrupted(t), key=len)
+    longest = max(uninterrupted(t, q), key=len)
     spectrum = position_spectrum(t[longest], q[longest])
     choice = causal_polynomial(spectrum)
     estimator = OnlineEstimator(

@@ -30,6 +30,7 @@ from excitant.identify.signals import (
     SensorNoise,
     differentiated,
     low_pass,
+    samples_motion,
     smoothed,
 )
 from excitant.robots.effects import Effect
@@ -41,6 +42,7 @@ from excitant.robots.motion import (
     Noun,
     interpolated,
     read_only,
+    root_mean_square,
 )
 
 CUTOFF_HZ = 10.0  # above the motions of arms, below their structural resonances
@@ -60,7 +62,9 @@ class Sampling:
         rounding: Share of a stride that rounding of time may lack: 1 kHz and 10 Hz give 25.
         regular: Samples at most this share of a step from regular time are taken as they are.
         gap_steps: A gap is longer than so many median steps, and than
-        gap_s: so many seconds.
+        gap_s: so many seconds, and than
+        gap_period: this share of a period of the fastest joint: torque between its ends is off by
+            (2π/16)²/8 = 2 % of what moves so fast.
         burst_steps: A mean step of more median steps than this has no regular rate.
     """
 
@@ -72,6 +76,7 @@ class Sampling:
     regular: float = 1e-5
     gap_steps: float = 3.0
     gap_s: float = 0.05
+    gap_period: float = 1 / 16
     burst_steps: float = 10.0
 
 
@@ -251,7 +256,7 @@ def prepare(
             f"choose one up to {highest:.3g} Hz",
         )
     band_hz = band_hz or position_cutoff(cutoff_hz, 1 / step)
-    parts = uninterrupted(t)
+    parts = uninterrupted(t, recording.q)
     # what the filter distorts at both ends is left out
     least = max(MINIMUM_DURATION, 2 / cutoff_hz + 2 * step)
     segments = [
@@ -265,7 +270,9 @@ def prepare(
             needed += f" at a cut-off of {cutoff_hz:.3g} Hz"
         if len(parts) > 1:
             after = t[parts[0][-1]]
-            why = f"time jumps {len(parts) - 1} times, first after {after:.4g} s; {needed}"
+            longest = longest_gap(t, recording.q)
+            why = f"time jumps {len(parts) - 1} times, first after {after:.4g} s; {needed}: log "
+            why += f"every sample, or move more slowly (so fast, gaps up to {longest:.2g} s do)"
         elif recording.duration < least:
             why = f"'{recording.name}' lasts {recording.duration:.3g} s; {needed}: "
             why += "record longer or name a hold-out of its own"
@@ -324,11 +331,35 @@ def _step(recording: Recording) -> float:
     return recording.step
 
 
-def uninterrupted(t: Array) -> list[Indices]:
-    """Indices of the parts of a time series, shape (n,) [s], between its gaps."""
-    steps = np.diff(t)
-    breaks = np.flatnonzero(steps > longest_step(float(np.median(steps)))) + 1
+def uninterrupted(t: Array, q: Array) -> list[Indices]:
+    """Indices of the parts of a motion between gaps, in which it is not determined.
+
+    Args:
+        t: Times, shape (n,) [s].
+        q: Positions, shape (n, nv).
+    """
+    breaks = np.flatnonzero(np.diff(t) > longest_gap(t, q)) + 1
     return np.split(np.arange(len(t)), breaks)
+
+
+def longest_gap(t: Array, q: Array) -> float:
+    """Longest time between two samples over which neighbours determine the motion [s].
+
+    The usual frequency of a joint is its rms speed over 2π times its spread. Joints whose
+    positions are not samples of a motion do not count.
+    """
+    steps = np.diff(t)
+    longest = longest_step(float(np.median(steps)))
+    if steps.max(initial=0.0) <= longest:
+        return longest
+    moving = q[:, [samples_motion(x[:, None]) for x in q.T]]
+    moving = moving[:, np.ptp(moving, axis=0) > 0]
+    near = steps <= longest
+    speed = np.diff(moving, axis=0)[near] / steps[near, None]
+    frequency = root_mean_square(speed) / (2 * np.pi * moving.std(axis=0))
+    if not frequency.size:
+        return longest
+    return max(longest, SAMPLING.gap_period / float(frequency.max()))
 
 
 def longest_step(step: float) -> float:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+import scipy
 from marks import refusal, refused, slow
 from mistakes import PLANTS, Mistake, edited, recorded, run_of, scaled, with_rows
 
@@ -332,14 +333,12 @@ def interleaved(log: Log) -> Log:
     return both.take(np.arange(2 * N).reshape(2, -1).T.ravel())
 
 
-NOISE = np.random.default_rng(0).normal(size=N)
 UNCLEAR: dict[str, Callable[[Log], Log]] = {
     "interleaved": interleaved,
     "another motion": of_another_motion,
     "another run": lambda log: one_after_the_other(log, run("planar_2r", 1), 0.003),
     "wrapped clock": lambda log: replace(log, t=np.mod(log.t, 1.0)),
     "another rate": lambda log: one_after_the_other(log, replace(log, t=2 * log.t, q=-log.q)),
-    "shaken": lambda log: replace(log, t=log.t + 0.5 * log.step * NOISE),
 }
 
 
@@ -348,3 +347,13 @@ def test_time_of_more_than_one_meaning_is_refused(clean: Log, read: Read, damage
     log, why = UNCLEAR[damage](clean), r"time goes back in .* cut the file by hand"
     error = refusal(why, read, log, repaired=True, error=BadRecording)
     assert (Path(error.file).name, error.column) == ("run0.parquet", "t")
+
+
+def test_stamps_of_arrival_give_way_to_a_regular_clock_true_ones_stay(
+    clean: Log, read: Read
+) -> None:
+    stamps = clean.t + 0.4 * clean.step * np.random.default_rng(0).uniform(-1, 1, N)
+    spline = scipy.interpolate.make_interp_spline(clean.t, clean.q, k=5)
+    for q, t in ((clean.q, clean.t), (spline(stamps), stamps - stamps[0])):
+        [log] = read(replace(clean, t=stamps, q=q, dq=None)).recordings
+        assert np.abs(log.t - t).max() < 0.1 * clean.step

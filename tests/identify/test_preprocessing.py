@@ -102,6 +102,7 @@ def test_parts_too_short_between_gaps_are_left_out_or_refused() -> None:
     error = refusal(why, prepared, t, wave, error=BadRecording)
     assert (error.file, error.column) == ("f.csv", "t")
     assert len(prepared(np.where(T < 10, T, t), wave)) == 1
+    assert len(prepared(t, np.sin(t / 8)[:, None])) == 1  # neighbours determine so slow a motion
 
 
 def test_a_cutoff_that_does_not_fit_is_refused() -> None:
