@@ -392,12 +392,14 @@ def _likelier(
     """An installation that leaves half the squares of another, or fits, and is likelier.
 
     That is by twice the log odds that are given. A change in mid-run, which stands for much that a
-    model may lack, leaves a tenth.
+    model may lack, leaves a tenth. A load or other bodies explain much, but no torque that is too
+    small everywhere: a factor of it that is not known leaves one per row.
     """
     theirs, mine = _judge(case, [other, installation])
-    changes = any("since" in fault.evidence for fault in installation.faults)
-    share = SEARCH.fits if changes else SEARCH.halved
-    allowed = max(share * theirs.squares, SEARCH.fits * float(case.rows.sum()))
+    told = [fault.evidence for fault in installation.faults]
+    share = SEARCH.fits if any("since" in each for each in told) else SEARCH.halved
+    fits = 1.0 if any("small" in each for each in told) else SEARCH.fits
+    allowed = max(share * theirs.squares, fits * float(case.rows.sum()))
     likelier = mine.odds > theirs.odds + least and mine.squares <= allowed
     return mine if likelier else None
 
@@ -744,24 +746,29 @@ def _orders(fit: TorqueFit) -> Iterator[Installation]:
 
 
 def _signs(fit: TorqueFit) -> Iterator[Installation]:
-    """Each joint that counts or measures torque the other way."""
+    """Each joint that counts or measures torque the other way, or all torques."""
+    if len(fit.joints) > 1:
+        yield _one(fit, _sign(fit.log, fit.joints, ("tau",)))
     for j in fit.joints:
         moves = fit.log.moving[:, j].any()
         for channels in (("q", "dq"), ("tau",), ("q", "dq", "tau")):
             if moves or "q" not in channels:
-                yield _one(fit, _sign(fit.log, j, channels))
+                yield _one(fit, _sign(fit.log, [j], channels))
 
 
-def _sign(log: Log, j: int, channels: Sequence[str]) -> Fault:
+def _sign(log: Log, joints: Sequence[int], channels: Sequence[str]) -> Fault:
     what = " and ".join(name for name in channels if name != "dq")
-    joint = log.joints[j]
+    names = log.names(joints)
+    listed = ", ".join(names)
     return Fault(
         "wrong_sign",
-        (joint,),
-        f"{what} of {joint} count{'s' * (' and ' not in what)} the other way than the robot's",
+        names,
+        f"{what} of {listed} count{'s' * (' and ' not in what)} the other way than the robot's",
         {"channel": what},
-        f"negates {what}{' (and dq)' * ('dq' in channels)} of {joint}",
-        tuple(Remedy("scale", name, (j,), factor=-1.0) for name in channels),
+        f"negates {what}{' (and dq)' * ('dq' in channels)} of {listed}",
+        tuple(
+            Remedy("scale", name, tuple(joints), factor=-1.0) for name in channels
+        ),
     )
 
 
@@ -1059,7 +1066,8 @@ def _scales(fit: TorqueFit) -> Iterator[Installation]:
         f"tau of {', '.join(names)} is {what}: another unit, currents or per cent, or inertias of "
         "the model in another unit"
     )
-    fault = Fault("wrong_unit", unscaled, detail, {"channel": "tau"})
+    evidence = {"channel": "tau"} | ({"small": True} if (gains < 1).all() else {})
+    fault = Fault("wrong_unit", unscaled, detail, evidence)
     factors = 1 if one else len(names)
     yield _one(fit, fault, more=factors * ANY_VALUE)
 
@@ -1153,7 +1161,8 @@ def _rises(fit: TorqueFit, tried: Iterable[Smooth]) -> Array:
 def _changes(fit: TorqueFit) -> Iterator[Installation]:
     """Dry friction and offset of all joints, or of that it suits best, others from some time on."""
     data = fit.data
-    if data.since is not None:
+    # beside a factor that is not known, a change may be a load
+    if data.since is not None or fit.unscaled:
         return
     t = data.motion.t
     nv = fit.robot.nv
@@ -1257,7 +1266,7 @@ def _zeros(fit: TorqueFit, j: int) -> Iterator[Installation]:
     robots = [fit.robot.with_zero(fit.robot.joints[j], x) for x in CIRCLE]
     grid = np.arange(-np.pi, np.pi, SEARCH.step)
     for channels in ((), ("q", "dq"), ("tau",), ("q", "dq", "tau")):
-        signs = [_sign(fit.log, j, channels)] * bool(channels)
+        signs = [_sign(fit.log, [j], channels)] * bool(channels)
         unlikeness = _of_sums(fit, signs, robots, circle_weights)
         free = _best(unlikeness, grid[:, None], SEARCH.step)
         right = SEARCH.right * np.round(free / SEARCH.right)
