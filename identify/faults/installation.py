@@ -221,6 +221,9 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
             break
         stands, *same = _judge(case, [Installation(), *likely])
         simplest, *reason = _simplest(stands, same, case)
+        # no other is told where a load is as likely
+        if any("load" in fault.evidence for fault in simplest.installation.faults):
+            break
         best = simplest.installation
         reasons[len(best.faults) - 1] = reason
         if simplest.squares < float(case.rows.sum()):
@@ -1040,9 +1043,11 @@ def _scales(fit: TorqueFit) -> Iterator[Installation]:
     far = np.abs(np.log(gains)) > scatter * np.log(SEARCH.least_scale)
     clear = std < SEARCH.clear_scale
     some = np.flatnonzero(far & clear)
-    # a load makes the torque of bodies, however large
-    if (gains[some] > 1).all() and (fit.left[some] < SEARCH.explained).all():
+    if not len(some):
         return
+    # a load makes the torque of bodies, however large
+    larger = (gains[some] > 1).all()
+    loaded = larger and (fit.left[some] < SEARCH.explained).all()
     joints = np.array(fit.joints)
     # joints whose torque tells no factor have one as well
     unscaled = fit.log.names(joints[far | ~clear])
@@ -1066,7 +1071,8 @@ def _scales(fit: TorqueFit) -> Iterator[Installation]:
         f"tau of {', '.join(names)} is {what}: another unit, currents or per cent, or inertias of "
         "the model in another unit"
     )
-    evidence = {"channel": "tau"} | ({"small": True} if (gains < 1).all() else {})
+    marks = {"small": (gains < 1).all(), "load": loaded}
+    evidence = {"channel": "tau"} | {mark: True for mark, of in marks.items() if of}
     fault = Fault("wrong_unit", unscaled, detail, evidence)
     factors = 1 if one else len(names)
     yield _one(fit, fault, more=factors * ANY_VALUE)
