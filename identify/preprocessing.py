@@ -62,9 +62,7 @@ class Sampling:
         rounding: Share of a stride that rounding of time may lack: 1 kHz and 10 Hz give 25.
         regular: Samples at most this share of a step from regular time are taken as they are.
         gap_steps: A gap is longer than so many median steps, and than
-        gap_s: so many seconds, and than
-        gap_period: this share of a period of the fastest joint: torque between its ends is off by
-            (2π/16)²/8 = 2 % of what moves so fast.
+        gap_s: so many seconds; see `longest_gap`.
         burst_steps: A mean step of more median steps than this has no regular rate.
     """
 
@@ -76,7 +74,6 @@ class Sampling:
     regular: float = 1e-5
     gap_steps: float = 3.0
     gap_s: float = 0.05
-    gap_period: float = 1 / 16
     burst_steps: float = 10.0
 
 
@@ -345,21 +342,22 @@ def uninterrupted(t: Array, q: Array) -> list[Indices]:
 def longest_gap(t: Array, q: Array) -> float:
     """Longest time between two samples over which neighbours determine the motion [s].
 
-    The usual frequency of a joint is its rms speed over 2π times its spread. Joints whose
+    `longest_step`, or where no joint moves fast `Sampling.smooth_rate` gaps fit into a period of
+    its torque, of twice its frequency; that is its rms speed over 2π times its spread. Joints whose
     positions are not samples of a motion do not count.
     """
     steps = np.diff(t)
     longest = longest_step(float(np.median(steps)))
     if steps.max(initial=0.0) <= longest:
         return longest
-    moving = q[:, [samples_motion(x[:, None]) for x in q.T]]
-    moving = moving[:, np.ptp(moving, axis=0) > 0]
     near = steps <= longest
-    speed = np.diff(moving, axis=0)[near] / steps[near, None]
-    frequency = root_mean_square(speed) / (2 * np.pi * moving.std(axis=0))
-    if not frequency.size:
-        return longest
-    return max(longest, SAMPLING.gap_period / float(frequency.max()))
+    moving = (x for x in q.T if np.ptp(x) > 0 and samples_motion(x[:, None]))
+    periods = [
+        2 * np.pi * x.std() / root_mean_square((np.diff(x) / steps)[near])
+        for x in moving
+    ]
+    shortest = min(periods, default=0.0)
+    return max(longest, float(shortest) / (2 * SAMPLING.smooth_rate))
 
 
 def longest_step(step: float) -> float:

@@ -27,9 +27,6 @@ _ORDERS = ("%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S.%f", "%d/%m/%Y %H:%M:%S.%f
 _SECONDS_SINCE_1970 = (0.95e9, 4.2e9)  # the years 2000 to 2103
 _SCALES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _FAR_APART = 0.5  # s: no motion of an arm shows in samples so rare
-_EVEN = 0.05  # of a period: steps that are off by less are regular
-_FEW_ROWS = 50  # of a log whose clock cannot be told
-_SURE_STDS = 3.0
 
 
 def keys_of(names: Sequence[str]) -> list[str]:
@@ -154,8 +151,8 @@ def regular_clock(t: Array, q: Array) -> tuple[Array, str]:
 
     Stamps stay, and nothing is said, unless
 
-    - half the steps are off by more than `_EVEN`, and their sum does not wander off a straight
-      line: their deviations from it are in any order;
+    - half the steps are off by more than a twentieth of the period, and their sum does not wander
+      off a straight line: their deviations from it are in any order;
     - positions do not change by what the stamps say. Of a step Δt, that is slower or faster by
       β v (Δt − T) than its neighbours let expect, v the speed and T the period; β is 1 where stamps
       are those of the samples, 0 where samples are regular.
@@ -165,13 +162,14 @@ def regular_clock(t: Array, q: Array) -> tuple[Array, str]:
         q: Positions, shape (n, nv).
     """
     finite = np.isfinite(t).all() and np.isfinite(q).all()
-    if len(t) < _FEW_ROWS or not finite:
+    if len(t) < 50 or not finite or not samples_motion(q):
         return t, ""
-    rows = np.arange(len(t))
-    period, start = np.polyfit(rows, t, 1)
-    deviation = t - start - period * rows
-    jitter = float(np.median(np.abs(np.diff(t) - period))) / period
-    if jitter < _EVEN or samples_motion(deviation[:, None]):
+    half = len(t) // 2
+    period = float(np.median(t[half:] - t[:-half])) / half
+    regular = period * np.arange(len(t))
+    deviation = t - regular
+    jitter = float(np.median(np.abs(np.diff(t) - period)))
+    if jitter <= 0.05 * period or period <= 0 or samples_motion(deviation[:, None]):
         return t, ""
     expected, change = _beside(np.diff(q, axis=0))
     _, more = _beside(np.diff(t) / period)
@@ -183,7 +181,7 @@ def regular_clock(t: Array, q: Array) -> tuple[Array, str]:
     total = max(float(power.sum()), 1e-300)
     beta = float(shown.sum()) / total
     std = float(np.linalg.norm(shown - beta * power)) / total
-    most = beta + _SURE_STDS * std
+    most = abs(beta) + 3 * std
     if not power.any() or most > 0.5:
         return t, ""
     what = (
@@ -191,7 +189,7 @@ def regular_clock(t: Array, q: Array) -> tuple[Array, str]:
         f"{period:.4g} s, of which positions follow at most {100 * most:.2g} %: rows are regular, "
         "and the time is the straight line through the stamps"
     )
-    return period * rows, what
+    return regular, what
 
 
 def _beside(x: Array) -> tuple[Array, Array]:
