@@ -600,6 +600,7 @@ def _moves(fit: TorqueFit) -> Iterator[Installation]:
     if squares < SEARCH.fits * float(rows.sum()):
         return
     yield from _in_degrees(fit)
+    yield _backwards(fit)
     yield from _clock(fit)
     yield from _delays(fit)
     yield from _changes(fit)
@@ -749,8 +750,14 @@ def _orders(fit: TorqueFit) -> Iterator[Installation]:
 
 
 def _signs(fit: TorqueFit) -> Iterator[Installation]:
-    """Each joint that counts or measures torque the other way, or all torques."""
-    if len(fit.joints) > 1:
+    """Each joint that counts or measures torque the other way, two torques, or all."""
+    several = itertools.combinations(fit.joints, 2)
+    more = 2 * float(np.log(fit.robot.nv))
+    pairs = (
+        _one(fit, _sign(fit.log, pair, ("tau",)), more=more) for pair in several
+    )
+    yield from _nearest(fit, pairs)
+    if len(fit.joints) > 2:
         yield _one(fit, _sign(fit.log, fit.joints, ("tau",)))
     for j in fit.joints:
         moves = fit.log.moving[:, j].any()
@@ -1097,6 +1104,20 @@ def in_joint_frames(robot: Robot) -> Array:
         body = pin.Inertia.FromDynamicParameters(phi)
         moved.append(place.act(body).toDynamicParameters())
     return np.concatenate(moved)
+
+
+def _backwards(fit: TorqueFit) -> Installation:
+    """The motion from its end to its begin: friction drives then, inertia and weight stay."""
+    detail = (
+        "the rows run backwards in time: friction drives where it should brake, and dq, if it is "
+        "logged, is the opposite of the change of q; reverse the rows of all columns but time"
+    )
+    reversal = Remedy("scale", "t", factor=-1.0)
+    evidence = {"channel": "t", OPEN: True}
+    fault = Fault(
+        "wrong_sample_rate", fit.log.joints, detail, evidence, None, (reversal,)
+    )
+    return _one(fit, fault)
 
 
 def _clock(fit: TorqueFit) -> Iterator[Installation]:

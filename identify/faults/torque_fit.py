@@ -83,6 +83,7 @@ class Smooth(NamedTuple):
             if remedy.channel == "t":
                 arrays["dq"] /= remedy.factor
                 arrays["ddq"] /= remedy.factor**2
+                arrays["dry"] *= np.sign(remedy.factor)
             if (remedy.action, remedy.channel) == ("order", "tau"):
                 recorded = recorded[[*remedy.joints]]
                 scale = scale[[*remedy.joints]]
