@@ -21,6 +21,7 @@ from excitant.identify.faults.channels import (
     not_measured,
     poor_excitation,
     saturation,
+    torque_without_sign,
     wrapped_counters,
 )
 from excitant.identify.faults.fault import (
@@ -155,7 +156,7 @@ def _faults(
 
 def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault]:
     data = smooth(log)
-    if faults := [*inertias_beyond_size(robot)]:
+    if faults := [*inertias_beyond_size(robot), *torque_without_sign(log)]:
         return faults
     # torque says nothing of where a joint is that is not read
     if data is not None and "q" not in {fault.channel for fault in channels}:

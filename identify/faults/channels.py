@@ -177,6 +177,23 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
         yield Fault("saturation", (joint,), detail, evidence)
 
 
+def torque_without_sign(log: Log) -> Iterator[Fault]:
+    """Torque that is never negative, and at several moving joints yet comes to zero.
+
+    A torque that comes to zero passes through it, but where its sign was lost.
+    """
+    touching = log.tau.min(axis=0) < 0.01 * log.tau.max(axis=0)
+    touching &= log.moving.any(axis=0)
+    if (log.tau < 0).any() or touching.sum() < 2:
+        return
+    names = log.names(np.flatnonzero(touching))
+    detail = (
+        f"tau of {', '.join(names)} comes to zero and never goes below, as that of no joint does: "
+        "its sign was lost; record torque with its sign"
+    )
+    yield Fault("wrong_sign", names, detail, {"channel": "tau"})
+
+
 def _passes(x: Array, near: Mask, scatter: float) -> bool:
     """Whether values slope or bend beyond noise over the longest run near a limit."""
     starts, lengths = run_lengths(near)

@@ -166,7 +166,7 @@ def regular_clock(t: Array, q: Array) -> tuple[Array, str]:
         return t, ""
     half = len(t) // 2
     period = float(np.median(t[half:] - t[:-half])) / half
-    regular = period * np.arange(len(t))
+    regular = period * np.arange(len(t), dtype=float)
     deviation = t - regular
     jitter = float(np.median(np.abs(np.diff(t) - period)))
     if jitter <= 0.05 * period or period <= 0 or samples_motion(deviation[:, None]):
