@@ -18,6 +18,7 @@ from excitant.analysis.explanation import (
     coefficients,
     explained_by,
     placeholders,
+    rivals_of,
     sentence,
     share_of,
     shared_friction,
@@ -27,10 +28,15 @@ from excitant.analysis.explanation import (
 )
 from excitant.analysis.residuals import Residual, explanatory
 from excitant.analysis.selection import Rival
-from excitant.analysis.thresholds import VERDICT
+from excitant.analysis.thresholds import DISCRIMINATION, VERDICT
 from excitant.identify.accuracy import Accuracy
 from excitant.identify.rows import states
-from excitant.robots.effects import Effect, plain, separating_experiment
+from excitant.robots.effects import (
+    Effect,
+    measuring_experiment,
+    plain,
+    separating_experiment,
+)
 from excitant.robots.motion import Array, root_mean_square
 
 if TYPE_CHECKING:
@@ -72,6 +78,28 @@ class Plan:
 def key(found: Effect, rival: Effect) -> Pairing:
     """Names and joints of a pair."""
     return found.name, found.joints, rival.name, rival.joints
+
+
+def _deciding(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> str:
+    """The one experiment for the largest undecided finding of a group, or why there is none.
+
+    A motion if there is one, else an action; what measures the cause where it has no rival.
+    """
+    undecided = [f for f in group if f.verdict == "undecided"]
+    if not undecided:
+        return ""
+    finding = max(undecided, key=lambda f: f.explained)
+    if finding.explained < DISCRIMINATION.matters:
+        share = f"{100 * DISCRIMINATION.matters:.0f} %"
+        return f"none is looked for: it explains less than {share} of the squared error"
+    advices = [
+        plan.of(finding.effect, rival)
+        for rival in rivals_of(finding, diagnosis.findings)
+    ]
+    advices.sort(key=lambda advice: advice.file is None)
+    if advices:
+        return advices[0].experiment
+    return measuring_experiment(finding.effect)
 
 
 def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:
@@ -191,6 +219,7 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> Entry:
         "unit": diagnosis.unit(group[0].joint),
         "verdict": "named" if named else "undecided",
         "doubt": "" if named else "; ".join(reasons),
+        "experiment": "" if named else _deciding(diagnosis, group, plan),
         "rivals": [
             _rival(effect, rival, plan) for effect, rival in rivals.values()
         ],

@@ -39,9 +39,16 @@ class Separation:
     """Separation of two causes by a motion."""
 
     delta: float  # Δ in squared standard deviations of the noise
-    cosine: float  # between one cause's torque and its best imitation by the other
+    whole: float  # the same of the cause alone, beside given values and the other causes
     # runs until `diagnose` decides; None where a contest's most runs are too few
     repetitions: int | None = None
+
+    @property
+    def cosine(self) -> float:
+        """Between one cause's torque and its best imitation by the other."""
+        if self.whole <= 0:
+            return 1.0
+        return float(np.sqrt(1 - self.delta / self.whole))
 
     @property
     def enough(self) -> bool:
@@ -71,8 +78,8 @@ class Contest:
     weight: Array  # Λ: 1 / (variance × autocorrelation time) of each joint's noise, shape (nv,)
     cutoff_hz: float = 10.0  # of the filter that torque and columns pass
     recorded: tuple[Segment, ...] = ()  # the recording, which both causes explain
-    # relative standard deviation of the given values
-    tolerance: float = EVIDENCE.tolerance
+    # relative standard deviations of the given bodies and of the given effects
+    tolerance: tuple[float, float] = (EVIDENCE.tolerance, EVIDENCE.tolerance)
 
     @cached_property
     def causes(self) -> dict[Effect, slice]:
@@ -97,9 +104,8 @@ class Contest:
     def precision(self) -> Array:
         """Prior precision of the given values, shape (p,)."""
         count = sum(len(e.values or ()) for e in self.robot.effects)
-        links = (
-            link_weights(self.robot.nv, self.tolerance * widened(self.robot)) ** 2
-        )
+        tolerance = self.tolerance[0] * widened(self.robot)
+        links = link_weights(self.robot.nv, tolerance) ** 2
         return np.concatenate([links, np.ones(count)])
 
     @cached_property
@@ -109,6 +115,11 @@ class Contest:
             size = max(at.stop for at in self.causes.values())
             return np.zeros((size, size))
         return self._gram(self.recorded)
+
+    @cached_property
+    def unmoved(self) -> list[Separation]:
+        """Separation of every pair by the recording alone."""
+        return self.separations(np.zeros_like(self.known))
 
     @cached_property
     def imitations(self) -> tuple[Array, ...]:
@@ -205,8 +216,7 @@ class Contest:
             for shape in self._shapes(other)
         )
         remaining = float(np.clip(min(whole, *imitations), 0.0, max(whole, 0.0)))
-        cosine = float(np.sqrt(1 - remaining / whole)) if whole > 0 else 1.0
-        return Separation(remaining, cosine)
+        return Separation(remaining, whole)
 
     def _shapes(self, effect: Effect) -> list[Effect]:
         joint = self.robot.joint_index(effect.joints[0])
@@ -241,7 +251,7 @@ class Contest:
         for effect in self.robot.effects:
             size = np.maximum(np.abs(np.array(effect.values or ())), 1e-9)
             yield cause_columns(effect, nominal, extended) @ np.diag(
-                self.tolerance * size
+                self.tolerance[1] * size
             )
         for effect in self.causes:
             yield cause_columns(effect, nominal, extended)

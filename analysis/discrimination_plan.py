@@ -12,8 +12,13 @@ from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.diagnosis_result import Advice, Plan, key
 from excitant.analysis.discrimination import Contest, Pair, Separation, needed
+from excitant.analysis.explanation import rivals_of
 from excitant.analysis.selection import is_plain_friction
-from excitant.analysis.thresholds import DISCRIMINATION
+from excitant.analysis.thresholds import (
+    DISCRIMINATION,
+    EVIDENCE,
+    SELECTION,
+)
 from excitant.design.constraints import (
     kinematic_limits,
     position_range,
@@ -33,7 +38,7 @@ from excitant.robots.effects import (
     standard_effects,
 )
 from excitant.robots.geometry import CLEARANCE, Scene, scene
-from excitant.robots.motion import Array, Motion, together
+from excitant.robots.motion import Array, Mask, Motion, together
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 
@@ -70,8 +75,8 @@ def discriminating_motions(
     *,
     time_limit: float = np.inf,
     scene: Scene | None = None,
-) -> tuple[list[Discriminating], Array]:
-    """Motions that separate rivals, and the largest Δ found for each pair, shape (pairs,).
+) -> tuple[list[Discriminating], list[Separation]]:
+    """Motions that separate rivals, and the largest separation found for each pair.
 
     The best of the motions drawn is taken; pairs that it leaves open get another. Bodies of a
     scene must keep their clearance. A time limit [s] ends the search earlier, where depends on
@@ -87,9 +92,8 @@ def discriminating_motions(
         rng,
     )
     pool = search.pool(deadline)
-    highest = np.max(
-        [np.zeros(len(contest.pairs)), *(m.deltas for m in pool)], axis=0
-    )
+    largest = _largest([contest.unmoved, *(m.separations for m in pool)])
+    highest: Array = np.array([s.delta for s in largest])
     open_ = highest > DISCRIMINATION.hopeless
     motions = list[Discriminating]()
     while open_.any() and len(motions) < MOST_MOTIONS:
@@ -104,7 +108,14 @@ def discriminating_motions(
             highest > DISCRIMINATION.much_better * best.deltas
         )
         highest = np.maximum(highest, best.deltas)
-    return motions, highest
+    return motions, _largest([largest, *(m.separations for m in motions)])
+
+
+def _largest(found: Sequence[Sequence[Separation]]) -> list[Separation]:
+    """The largest separation of each pair."""
+    return [
+        max(of_pair, key=lambda s: s.delta) for of_pair in zip(*found, strict=True)
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +153,7 @@ class _Search:
         return pool
 
     def best(
-        self, pool: list[Discriminating], open_: Array
+        self, pool: list[Discriminating], open_: Mask
     ) -> Discriminating | None:
         """The motion that best separates the open pairs within the limits, out of a pool."""
         while pool:
@@ -292,15 +303,16 @@ def plan(
     if not contest.pairs:
         return Plan()
     motions = list[Discriminating]()
+    largest: Sequence[Separation] = contest.unmoved
     with suppress(Infeasible):
-        motions, _ = discriminating_motions(
+        motions, largest = discriminating_motions(
             contest, rng, time_limit=time_limit, scene=_surroundings(diagnosis)
         )
     best = [_best(motions, index) for index in range(len(contest.pairs))]
     used = sorted((m for m in motions if m in best), key=lambda m: -best.count(m))
     experiments = {
         key(pair.found, pair.rival): _experiment(
-            diagnosis.robot, contest, index, used
+            contest, index, used, largest[index]
         )
         for index, pair in enumerate(contest.pairs)
     }
@@ -308,15 +320,8 @@ def plan(
 
 
 def _contest(diagnosis: Diagnosis) -> Contest:
-    # set-ups that look the same do so for every motion
-    rivals = {
-        f: any(r.candidate.size for r in f.rivals) for f in diagnosis.findings
-    }
-    open_ = [
-        f
-        for f in diagnosis.findings
-        if rivals[f] and f.explained >= DISCRIMINATION.matters
-    ]
+    open_ = [f for f in diagnosis.findings if f.explained >= DISCRIMINATION.matters]
+    bodies, effects = diagnosis.extension.evidence.tolerance
     counts = diagnosis.holdout.series.moves
     error = diagnosis.error * diagnosis.holdout.gains * counts
     sigma = np.sqrt((error**2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1))
@@ -330,22 +335,25 @@ def _contest(diagnosis: Diagnosis) -> Contest:
         weight=1 / (np.maximum(sigma, 1e-9) ** 2 * inflation),
         cutoff_hz=diagnosis.data.cutoff_hz,
         recorded=diagnosis.data.train,
+        tolerance=(EVIDENCE.tolerance * bodies, EVIDENCE.tolerance * effects),
     )
 
 
 def _pairs(diagnosis: Diagnosis, finding: Finding) -> list[Pair]:
     robot = diagnosis.robot
     effect = finding.effect
-    others = [f.effect for f in diagnosis.findings if f is not finding]
     added = np.array(effect.values or ()) - np.array(finding.nominal)
-    return [
-        Pair(
-            effect.with_values(added),
-            rival,
-            (*others, *_friction(robot, effect, rival, others)),
-        )
-        for rival in (r.candidate.effect for r in finding.rivals)
-    ]
+    # another law, and a change of the set-up, have no coefficients
+    if not added.any():
+        return []
+    pairs = []
+    for rival in rivals_of(finding, diagnosis.findings):
+        if rival.parameters(robot):
+            found = [f.effect for f in diagnosis.findings if f is not finding]
+            others = [other for other in found if other is not rival]
+            beside = (*others, *_friction(robot, effect, rival, others))
+            pairs.append(Pair(effect.with_values(added), rival, beside))
+    return pairs
 
 
 def _friction(
@@ -384,25 +392,38 @@ def _best(motions: Sequence[Discriminating], index: int) -> Discriminating | Non
 
 
 def _experiment(
-    robot: Robot, contest: Contest, index: int, motions: Sequence[Discriminating]
+    contest: Contest,
+    index: int,
+    motions: Sequence[Discriminating],
+    largest: Separation,
 ) -> Advice:
-    """The best motion for one pair of a contest, or an action where there is none."""
+    """The best motion for one pair of a contest, or an action where there is none.
+
+    The largest separation by any motion, possible or not, tells why.
+    """
     pair = contest.pairs[index]
     action = separating_experiment(pair.found, pair.rival)
     best = _best(motions, index)
     if best is None:
-        return Advice(
-            f"no motion within the limits was found that separates them: {action}"
-        )
+        return Advice(f"{_why_none(largest)}: {action}")
     runs = best.separations[index].repetitions
     deviations = float(np.sqrt(best.deltas[index]))
     file = f"separate-{motions.index(best) + 1}.csv"
     often = "one run is enough"
     if runs != 1:
         often = f"{runs} runs are needed, or else: {action}"
-    motion = described(best.trajectory, robot)
+    motion = described(best.trajectory, contest.robot)
     sentence = f"run {file} ({motion}): separates by {deviations:.3g} standard deviations; {often}"
     return Advice(sentence, deviations, runs, file)
+
+
+def _why_none(largest: Separation) -> str:
+    if largest.whole <= DISCRIMINATION.hopeless:
+        return "given values within their tolerance make its torque in every motion"
+    if largest.cosine > SELECTION.identical:
+        return "both make the same torque in every motion"
+    deviations = f"{np.sqrt(largest.delta):.2g} standard deviations"
+    return f"no motion within the limits separates them by more than {deviations}"
 
 
 def described(trajectory: Trajectory, robot: Robot) -> str:

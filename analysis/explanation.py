@@ -375,6 +375,14 @@ def reason_to_downgrade(
     return next(filter(None, (_confused(finding, other) for other in others)), "")
 
 
+def rivals_of(finding: Finding, findings: Sequence[Finding]) -> list[Effect]:
+    """What an undecided cause may be instead: its rivals, or else another cause found."""
+    if finding.rivals or not finding.downgrade:
+        return [rival.candidate.effect for rival in finding.rivals]
+    others = (other for other in findings if other is not finding)
+    return [other.effect for other in others if _confused(finding, other)][:1]
+
+
 def _losing_mass(robot: Robot, effect: Effect) -> str:
     """A link inside the arm, where no tool can be missing, that loses most of its mass; or ""."""
     added = (effect.values or ())[::10]

@@ -317,13 +317,13 @@ def _sentence(finding: Finding, unit: str) -> str:
     if share is not None:
         error += f" That is {v.percent(share)} of the squared error that the given model leaves."
     sentence = f"{finding.sentence}. {error}"
-    if finding.doubt:
-        return f"{sentence} It is not decided: {finding.doubt}."
-    if finding.verdict == "undecided":
-        sentence += (
-            " It is not decided: the effects below explain these data as well."
-        )
-    return sentence
+    if finding.verdict != "undecided":
+        return sentence
+    doubt = finding.doubt or "the effects below explain these data as well"
+    decides = (
+        finding.experiment and f" Experiment that decides: {finding.experiment}."
+    )
+    return f"{sentence} It is not decided: {doubt}.{decides}"
 
 
 def _parameters(finding: Finding) -> p.Table | None:

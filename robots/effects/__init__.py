@@ -71,6 +71,7 @@ from excitant.robots.effects.base import (
     turning_speed,
 )
 from excitant.robots.effects.experiments import (
+    measuring_experiment,
     separating_experiment,
 )
 from excitant.robots.effects.search import (
@@ -133,6 +134,7 @@ __all__ = [
     "effect_values",
     "effects_from_entries",
     "joint_facts",
+    "measuring_experiment",
     "merged",
     "plain",
     "plausible",

@@ -78,6 +78,11 @@ BETWEEN = {  # families of two effects that say nothing of each other in their w
 }
 
 
+def measuring_experiment(effect: Effect) -> str:
+    """Experiment that shows an effect by itself, whatever else there is."""
+    return BETWEEN[frozenset((effect.family,))]
+
+
 def separating_experiment(
     one: Effect | type[Effect], other: Effect | type[Effect]
 ) -> str:

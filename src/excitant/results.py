@@ -1115,6 +1115,8 @@ class Part(Record, kw_only=True):
     "Whether it is named as a cause; ``unknown`` where no cause explains what is left."
     doubt: str = ""
     "Why it is undecided."
+    experiment: str = ""
+    "Of an undecided one: the experiment that decides, or why none is looked for."
     rivals: list[Rival]
     "Other causes that the recordings do not exclude."
     sizes: list[Quantity] = []

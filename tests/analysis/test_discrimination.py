@@ -32,7 +32,7 @@ def contest(
 ) -> Contest:
     weight, pairs = np.full(robot.nv, 1 / (SIGMA**2 * INFLATION)), (Pair(found, rival),)
     known = tuple(along(motion, 10.0) for motion in recorded)
-    return Contest(robot, robot, pairs, weight, recorded=known, tolerance=tolerance)
+    return Contest(robot, robot, pairs, weight, recorded=known, tolerance=(tolerance,) * 2)
 
 
 def separation(contest: Contest, motion: Motion) -> Separation:
@@ -133,7 +133,7 @@ def test_the_motion_separates_what_a_poor_one_does_not(planar, found, rival, sin
     [best] = motions
     again = separation(pair, poor).delta
     assert best.deltas[0] > max(2 * again, DISCRIMINATION.hopeless)
-    assert highest[0] >= best.deltas[0]
+    assert highest[0].delta >= best.deltas[0]
     report = check(planar, best.trajectory)
     assert report.hold, report.worst
     assert best.trajectory.at_rest
@@ -151,7 +151,7 @@ def test_the_motion_separates_what_a_poor_one_does_not(planar, found, rival, sin
 def test_no_motion_separates_what_is_the_same(planar: Robot, found: Effect, rival: Effect) -> None:
     pair = contest(planar, found, rival, swing(planar))
     motions, highest = discriminating_motions(pair, np.random.default_rng(0))
-    assert (motions, highest[0] < DISCRIMINATION.hopeless) == ([], True)
+    assert (motions, highest[0].delta < DISCRIMINATION.hopeless) == ([], True)
 
 
 @pytest.mark.slow
