@@ -68,6 +68,8 @@ class Plan:
     experiments: Mapping[Pairing, Advice] = field(default_factory=dict)
     # in the order of their files separate-1, …
     motions: tuple[Trajectory, ...] = ()
+    # one of these, for causes without rivals or motions of their own; None where not needed
+    general: Advice | None = None
 
     def of(self, found: Effect, rival: Effect) -> Advice:
         """Experiment for a pair; the general action where no motion was looked for."""
@@ -96,10 +98,8 @@ def _deciding(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> str
         plan.of(finding.effect, rival)
         for rival in rivals_of(finding, diagnosis.findings)
     ]
-    advices.sort(key=lambda advice: advice.file is None)
-    if advices:
-        return advices[0].experiment
-    return measuring_experiment(finding.effect)
+    general = plan.general or Advice(measuring_experiment(finding.effect))
+    return min(advices, key=lambda a: a.file is None, default=general).experiment
 
 
 def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:

@@ -51,6 +51,12 @@ class Separation:
         return float(np.sqrt(1 - self.delta / self.whole))
 
     @property
+    def same_torque(self) -> bool:
+        """Whether both make the same torque, one that can be seen."""
+        seen = self.whole > DISCRIMINATION.hopeless
+        return seen and self.cosine > SELECTION.identical
+
+    @property
     def enough(self) -> bool:
         """Whether `diagnose` decides, at a stricter level where both still look alike."""
         alike = self.cosine > SELECTION.alike

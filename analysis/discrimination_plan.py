@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
@@ -17,17 +18,17 @@ from excitant.analysis.selection import is_plain_friction
 from excitant.analysis.thresholds import (
     DISCRIMINATION,
     EVIDENCE,
-    SELECTION,
 )
 from excitant.design.constraints import (
     kinematic_limits,
     position_range,
     within_limits,
 )
-from excitant.design.feasible import torque_use
+from excitant.design.feasible import random_start, torque_use
 from excitant.design.trajectory import (
     FourierSeries,
     Trajectory,
+    resting_series,
 )
 from excitant.exceptions import Infeasible
 from excitant.identify.least_squares import autocorrelation_time
@@ -42,14 +43,16 @@ from excitant.robots.motion import Array, Mask, Motion, together
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 
-DURATION_S = 20.0  # of a motion
+DURATION_S = 20.0  # of a motion that separates two causes
+INFORMATIVE_S = 60.0  # of one that is to show all values better
+INFORMATIVE_HARMONICS = 20  # of that one
 MOST_MOTIONS = 3
 DRAWN = 96  # motions that are judged
 TOP_HZ = 2.5  # fastest reversals
 HELD_PROBABILITY = 0.5  # of a joint of no interest
 SMALLEST_SHARE = 0.01  # of the limits: smallest movement of a joint of interest
 SHRINKS = 6
-DRAWS = 8
+DRAWS = 8  # attempts at one of these, and motions of which one is to show all values better
 TORQUE_SHARE = 0.98  # of the limits
 SAMPLED_SHARE = 0.97  # of the limits at the samples
 CHECKED_POSES = 60  # for clearance, before it is certified
@@ -82,16 +85,14 @@ def discriminating_motions(
     scene must keep their clearance. A time limit [s] ends the search earlier, where depends on
     the machine.
     """
-    deadline = time.monotonic() + time_limit
-    recorded = [segment.motion for segment in contest.recorded]
     search = _Search(
         contest,
-        _within_recording(contest.robot, recorded),
+        _within_recording(contest),
         FourierSeries(DURATION_S, round(TOP_HZ * DURATION_S)),
         scene,
         rng,
     )
-    pool = search.pool(deadline)
+    pool = search.pool(time.monotonic() + time_limit)
     largest = _largest([contest.unmoved, *(m.separations for m in pool)])
     highest: Array = np.array([s.delta for s in largest])
     open_ = highest > DISCRIMINATION.hopeless
@@ -109,6 +110,34 @@ def discriminating_motions(
         )
         highest = np.maximum(highest, best.deltas)
     return motions, _largest([largest, *(m.separations for m in motions)])
+
+
+@on_one_thread
+def informative_motion(
+    contest: Contest, rng: np.random.Generator, *, scene: Scene | None = None
+) -> Trajectory | None:
+    """Of some random motions, the one that with the recording tells most of given values.
+
+    That is the one of largest determinant of their information (D-optimality).
+    """
+    robot = _within_recording(contest)
+    series = resting_series(INFORMATIVE_S, INFORMATIVE_HARMONICS)
+    t = contest.instants(series.period)
+    p = len(contest.precision)
+
+    def told(trajectory: Trajectory) -> float:
+        information = contest.known + contest.information(trajectory.at(t))
+        of_given = information[:p, :p] + np.diag(contest.precision)
+        return float(np.linalg.slogdet(of_given).logabsdet)
+
+    with suppress(Infeasible):
+        motions = [
+            random_start(robot, rng, series, scene, CLEARANCE) for _ in range(DRAWS)
+        ]
+        for motion in sorted(motions, key=told, reverse=True):
+            if feasible := within_limits(robot, motion, scene, CLEARANCE):
+                return feasible
+    return None
 
 
 def _largest(found: Sequence[Sequence[Separation]]) -> list[Separation]:
@@ -272,11 +301,12 @@ def _at_rest(series: FourierSeries, x: Array) -> Array:
     return x / norm if norm > 0 else x
 
 
-def _within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:
-    """The arm with the ranges of a recording where it has no limits."""
-    if not recorded:
+def _within_recording(contest: Contest) -> Robot:
+    """The arm with the ranges of the recording where it has no limits."""
+    robot = contest.robot
+    if not contest.recorded:
         return robot
-    shown = together(recorded)
+    shown = together([segment.motion for segment in contest.recorded])
     limits = robot.limits
     ranges = np.column_stack([shown.q.min(axis=0), shown.q.max(axis=0)])
     bounded = np.isfinite(limits.position).all(axis=1, keepdims=True)
@@ -298,29 +328,57 @@ def _within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:
 def plan(
     diagnosis: Diagnosis, rng: np.random.Generator, *, time_limit: float = np.inf
 ) -> Plan:
-    """Experiments that settle an undecided diagnosis; see `discriminating_motions`."""
-    contest = _contest(diagnosis)
-    if not contest.pairs:
+    """Experiments that settle an undecided diagnosis; see `discriminating_motions`.
+
+    Where none separates two causes that differ, or a cause is doubted for another reason than a
+    rival, a motion is told that shows all values better.
+    """
+    pairs = {
+        finding: _pairs(diagnosis, finding)
+        for finding in diagnosis.findings
+        if finding.verdict == "undecided"
+        and finding.explained >= DISCRIMINATION.matters
+    }
+    if not pairs:
         return Plan()
+    contest = _contest(diagnosis, [*chain(*pairs.values())])
+    surroundings = _surroundings(diagnosis)
     motions = list[Discriminating]()
-    largest: Sequence[Separation] = contest.unmoved
+    largest = contest.unmoved
     with suppress(Infeasible):
-        motions, largest = discriminating_motions(
-            contest, rng, time_limit=time_limit, scene=_surroundings(diagnosis)
-        )
+        if contest.pairs:
+            motions, largest = discriminating_motions(
+                contest, rng, time_limit=time_limit, scene=surroundings
+            )
     best = [_best(motions, index) for index in range(len(contest.pairs))]
     used = sorted((m for m in motions if m in best), key=lambda m: -best.count(m))
+    trajectories = [motion.trajectory for motion in used]
+    unshown = [
+        b is None and not s.same_torque for b, s in zip(best, largest, strict=True)
+    ]
+    general: Advice | None = None
+    doubted = [not rivals_of(f, diagnosis.findings) for f in pairs]
+    if any([*unshown, *doubted]):
+        motion = informative_motion(contest, rng, scene=surroundings)
+        if motion is not None:
+            trajectories.append(motion)
+            general = _general(motion, len(trajectories), contest.robot)
     experiments = {
         key(pair.found, pair.rival): _experiment(
-            contest, index, used, largest[index]
+            contest, index, used, largest[index], general
         )
         for index, pair in enumerate(contest.pairs)
     }
-    return Plan(experiments, tuple(motion.trajectory for motion in used))
+    return Plan(experiments, tuple(trajectories), general)
 
 
-def _contest(diagnosis: Diagnosis) -> Contest:
-    open_ = [f for f in diagnosis.findings if f.explained >= DISCRIMINATION.matters]
+def _general(motion: Trajectory, number: int, robot: Robot) -> Advice:
+    file = f"separate-{number}.csv"
+    words = f"run {file} ({described(motion, robot)}): it shows all values better"
+    return Advice(f"{words}, which decides most such doubts", None, 1, file)
+
+
+def _contest(diagnosis: Diagnosis, pairs: Sequence[Pair]) -> Contest:
     bodies, effects = diagnosis.extension.evidence.tolerance
     counts = diagnosis.holdout.series.moves
     error = diagnosis.error * diagnosis.holdout.gains * counts
@@ -329,9 +387,7 @@ def _contest(diagnosis: Diagnosis) -> Contest:
     return Contest(
         robot=diagnosis.train.robot,
         model=diagnosis.extension.model,
-        pairs=tuple(
-            pair for finding in open_ for pair in _pairs(diagnosis, finding)
-        ),
+        pairs=tuple(pairs),
         weight=1 / (np.maximum(sigma, 1e-9) ** 2 * inflation),
         cutoff_hz=diagnosis.data.cutoff_hz,
         recorded=diagnosis.data.train,
@@ -396,14 +452,21 @@ def _experiment(
     index: int,
     motions: Sequence[Discriminating],
     largest: Separation,
+    general: Advice | None,
 ) -> Advice:
     """The best motion for one pair of a contest, or an action where there is none.
 
-    The largest separation by any motion, possible or not, tells why.
+    The largest separation by any motion, possible or not, tells why: of causes that differ,
+    a motion that shows all values better may yet decide.
     """
     pair = contest.pairs[index]
     action = separating_experiment(pair.found, pair.rival)
     best = _best(motions, index)
+    if best is None and largest.same_torque:
+        return Advice(f"both make the same torque in every motion: {action}")
+    if best is None and general is not None:
+        sentence = f"{_why_none(largest)}; {general.experiment}, or else: {action}"
+        return replace(general, experiment=sentence)
     if best is None:
         return Advice(f"{_why_none(largest)}: {action}")
     runs = best.separations[index].repetitions
@@ -420,8 +483,6 @@ def _experiment(
 def _why_none(largest: Separation) -> str:
     if largest.whole <= DISCRIMINATION.hopeless:
         return "given values within their tolerance make its torque in every motion"
-    if largest.cosine > SELECTION.identical:
-        return "both make the same torque in every motion"
     deviations = f"{np.sqrt(largest.delta):.2g} standard deviations"
     return f"no motion within the limits separates them by more than {deviations}"
 

@@ -22,6 +22,8 @@ from worlds_plant import DURATION, Hidden, Plant, Rng, Trajectory
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.diagnosis_result import key
 from excitant.analysis.discrimination_plan import plan
+from excitant.analysis.explanation import rivals_of
+from excitant.analysis.thresholds import DISCRIMINATION
 from excitant.design import random_trajectory
 from excitant.exceptions import Infeasible
 from excitant.identify import Recording, identify_robot
@@ -179,27 +181,39 @@ def run(seed: int, number: int, asked: Asked, tell: bool = False) -> dict[str, A
 
 
 def settled(world: Case, before: Diagnosis) -> Iterator[dict[str, Any]]:
-    """What becomes of undecided pairs when the motions that are to decide them were run."""
+    """What becomes of what is undecided when the motions that are to decide it were run."""
     proposed = plan(before, np.random.default_rng(0), time_limit=SEARCH)
     fitted, holdout = world.recordings
     runs = []
     for k, motion in enumerate(proposed.motions, start=1):
-        asking = [e for e in proposed.experiments.values() if e.file == f"separate-{k}.csv"]
-        for repeat in range(min(max([e.repetitions or 1 for e in asking], default=0), MOST_RUNS)):
+        asking = [*proposed.experiments.values(), proposed.general]
+        most = max(e.repetitions or 1 for e in asking if e and e.file == f"separate-{k}.csv")
+        for repeat in range(min(most, MOST_RUNS)):
             runs.append(world.read(motion, name=f"separate-{k}-{repeat}", duration=motion.period))
     after = diagnose(world.robot, [fitted, *runs], validate=[holdout]) if runs else before
-    named = {(f.effect.name, *f.effect.joints) for f in after.findings if f.verdict == "named"}
-    doubtful = {(f.effect.name, *f.effect.joints) for f in after.findings if f.rivals}
     for finding in before.findings:
-        for rival in finding.rivals:
-            pair = (finding.effect, rival.candidate.effect)
+        rivals = rivals_of(finding, before.findings)
+        pairs = [(finding.effect, rival) for rival in rivals] or [(finding.effect,)]
+        for pair in pairs if finding.verdict == "undecided" else ():
             ends = {(effect.name, *effect.joints) for effect in pair}
             true = {end for end in ends if is_true(end, world)}
-            decided = ends & named or not (true or ends & doubtful)
-            became = "wrong" if (ends & named) - true else "right" if decided else "open"
-            how = proposed.experiments.get(key(*pair))
-            how = "nothing" if how is None else "motion" if how.file else "action"
+            named, open_ = (said(ends, after, verdict) for verdict in ("named", "undecided"))
+            decided = named or not (true or open_)
+            became = "wrong" if named - true else "right" if decided else "open"
+            told = proposed.experiments.get(key(*pair)) if rivals else proposed.general
+            how = "motion" if told and told.file else "action"
+            if finding.explained < DISCRIMINATION.matters:
+                how = "nothing"
+            elif told and told.experiment.startswith("both make the same"):
+                how = "action, of one torque"
             yield {"pair": sorted(ends), "true": sorted(true), "how": how, "became": became}
+
+
+def said(ends: set[tuple[str, ...]], diagnosis: Diagnosis, verdict: str) -> set[tuple[str, ...]]:
+    """Causes by name and joints that a diagnosis has, with a verdict, at one of their joints."""
+    there = {(f.effect.name, j) for f in diagnosis.findings if f.verdict == verdict
+             for j in f.effect.joints}  # fmt: skip
+    return {end for end in ends if there & {(end[0], joint) for joint in end[1:]}}
 
 
 def is_true(end: tuple[str, ...], world: Case) -> bool:
@@ -332,10 +346,10 @@ def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
     yield ""
     yield from (f"{label:44s} {wilson(hits):>12s} % of {len(hits)}" for label, hits in rows)
     if pairs := [pair for r in done for pair in r.get("settled", ())]:
-        for how in ("motion", "action", "nothing"):
+        for how in sorted({pair["how"] for pair in pairs}):
             here = [pair["became"] for pair in pairs if pair["how"] == how]
             counts = [f"{x} {wilson([y == x for y in here])} %" for x in ("right", "wrong", "open")]
-            yield f"undecided pairs to be settled by {how}: {len(here)}; {', '.join(counts)}"
+            yield f"undecided, to be settled by {how}: {len(here)}; {', '.join(counts)}"
     if done and all(len(r["hidden"]) == 1 for r in done):
         yield confusion(done)
     yield "\nsize [%]      effects     named [%]     found [%]"
