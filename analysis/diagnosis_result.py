@@ -98,8 +98,12 @@ def _deciding(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> str
         plan.of(finding.effect, rival)
         for rival in rivals_of(finding, diagnosis.findings)
     ]
-    general = plan.general or Advice(measuring_experiment(finding.effect))
-    return min(advices, key=lambda a: a.file is None, default=general).experiment
+    if advices:
+        return min(advices, key=lambda advice: advice.file is None).experiment
+    action = measuring_experiment(finding.effect)
+    return (
+        f"{plan.general.experiment}, or else: {action}" if plan.general else action
+    )
 
 
 def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:

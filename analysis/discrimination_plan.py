@@ -44,8 +44,7 @@ from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 
 DURATION_S = 20.0  # of a motion that separates two causes
-INFORMATIVE_S = 60.0  # of one that is to show all values better
-INFORMATIVE_HARMONICS = 20  # of that one
+INFORMATIVE_HARMONICS = 20  # of a motion that is to show all values better
 MOST_MOTIONS = 3
 DRAWN = 96  # motions that are judged
 TOP_HZ = 2.5  # fastest reversals
@@ -53,7 +52,6 @@ HELD_PROBABILITY = 0.5  # of a joint of no interest
 SMALLEST_SHARE = 0.01  # of the limits: smallest movement of a joint of interest
 SHRINKS = 6
 DRAWS = 8  # attempts at one of these, and motions of which one is to show all values better
-TORQUE_SHARE = 0.98  # of the limits
 SAMPLED_SHARE = 0.97  # of the limits at the samples
 CHECKED_POSES = 60  # for clearance, before it is certified
 
@@ -94,8 +92,7 @@ def discriminating_motions(
     )
     pool = search.pool(time.monotonic() + time_limit)
     largest = _largest([contest.unmoved, *(m.separations for m in pool)])
-    highest: Array = np.array([s.delta for s in largest])
-    open_ = highest > DISCRIMINATION.hopeless
+    open_ = np.array([s.delta > DISCRIMINATION.hopeless for s in largest])
     motions = list[Discriminating]()
     while open_.any() and len(motions) < MOST_MOTIONS:
         best = search.best(pool, open_)
@@ -105,10 +102,7 @@ def discriminating_motions(
         if best.deltas[open_].max() <= DISCRIMINATION.hopeless:
             continue
         motions.append(best)
-        open_ &= (best.deltas < needed()) & (
-            highest > DISCRIMINATION.much_better * best.deltas
-        )
-        highest = np.maximum(highest, best.deltas)
+        open_ &= best.deltas < needed()
     return motions, _largest([largest, *(m.separations for m in motions)])
 
 
@@ -118,10 +112,11 @@ def informative_motion(
 ) -> Trajectory | None:
     """Of some random motions, the one that with the recording tells most of given values.
 
-    That is the one of largest determinant of their information (D-optimality).
+    That is the one of largest determinant of their information (D-optimality). It is as long as
+    the motions that separate may be together.
     """
     robot = _within_recording(contest)
-    series = resting_series(INFORMATIVE_S, INFORMATIVE_HARMONICS)
+    series = resting_series(MOST_MOTIONS * DURATION_S, INFORMATIVE_HARMONICS)
     t = contest.instants(series.period)
     p = len(contest.precision)
 
@@ -252,7 +247,7 @@ class _Search:
             use = torque_use(
                 self.robot, Motion(t, *(basis @ whole for basis in bases[:3]))
             )
-            if use.max() <= TORQUE_SHARE:
+            if use.max() <= SAMPLED_SHARE:
                 fitted = self.series.trajectory(whole)
                 return fitted if self._clear(fitted) else None
             X = X * 0.7
@@ -351,7 +346,7 @@ def plan(
                 contest, rng, time_limit=time_limit, scene=surroundings
             )
     best = [_best(motions, index) for index in range(len(contest.pairs))]
-    used = sorted((m for m in motions if m in best), key=lambda m: -best.count(m))
+    used = [motion for motion in motions if motion in best]
     trajectories = [motion.trajectory for motion in used]
     unshown = [
         b is None and not s.same_torque for b, s in zip(best, largest, strict=True)

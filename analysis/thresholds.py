@@ -314,9 +314,6 @@ class DiscriminationThresholds:
     plenty: float = 6.0
     """Δ > this many times what is required is of no use. Convention."""
 
-    much_better: float = 1.5
-    """Another motion's Δ > this many times that of the first: it is run too. Convention."""
-
     matters: float = 0.01
     """Share of the squared error explained ≥ this, or no motion is looked for. Convention."""
 

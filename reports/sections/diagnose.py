@@ -349,25 +349,16 @@ def _parameters(finding: Finding) -> p.Table | None:
 
 
 def _rivals(finding: Finding) -> p.Table | None:
-    rows = finding.rivals
-    # an experiment's sentence may already hold what separation and repetitions say
-    unsaid = any(
-        row.separation is not None and "separates by" not in row.experiment
-        for row in rows
-    )
     return p.table(
-        rows,
+        finding.rivals,
         [
             ("name:Rival", "effect", v.plain),
             ("name:Joints", "joints"),
             ("text:Why it cannot be excluded", "why"),
             ("text:Experiment that settles it", "experiment"),
-            ("number:Separation [σ]", "separation") if unsaid else None,
-            ("number:Runs", "repetitions", v.whole) if unsaid else None,
         ],
-        "Other effects that look alike in these data, and the experiment that separates them by so "
-        "many standard deviations of the noise in so many runs. |cos| is 1 where both torques are "
-        "proportional.",
+        "Other effects that look alike in these data, and the experiment that separates them. "
+        "|cos| is 1 where both torques are proportional.",
     )
 
 
