@@ -19,7 +19,13 @@ from excitant.analysis.evidence import (
 )
 from excitant.analysis.residuals import motion_noise, noise_floor
 from excitant.analysis.selection import Rival, is_plain_friction, underlies
-from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, SEARCH, VERDICT
+from excitant.analysis.thresholds import (
+    CONFIRMATION,
+    DISCRIMINATION,
+    EVIDENCE,
+    SEARCH,
+    VERDICT,
+)
 from excitant.identify.accuracy import series
 from excitant.identify.attenuation import (
     NOISE_UNSURE,
@@ -186,6 +192,11 @@ class Finding:
         scale = self.scale
         largest = scale.gain + CONFIRMATION.deviations * scale.gain_std
         return largest < -CONFIRMATION.floor
+
+    @property
+    def matters(self) -> bool:
+        """Whether an experiment that decides it is worth while."""
+        return self.part >= DISCRIMINATION.matters
 
     @property
     def verdict(self) -> str:

@@ -91,9 +91,9 @@ def _deciding(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> str
     if not undecided:
         return ""
     finding = max(undecided, key=lambda f: f.explained)
-    if finding.explained < DISCRIMINATION.matters:
-        share = f"{100 * DISCRIMINATION.matters:.0f} %"
-        return f"none is looked for: it explains less than {share} of the squared error"
+    if not finding.matters:
+        share = f"{100 * DISCRIMINATION.matters:.0f} % of its joints' squared error"
+        return f"none is looked for: it explains less than {share}"
     advices = [
         plan.of(finding.effect, rival)
         for rival in rivals_of(finding, diagnosis.findings)

@@ -331,8 +331,7 @@ def plan(
     pairs = {
         finding: _pairs(diagnosis, finding)
         for finding in diagnosis.findings
-        if finding.verdict == "undecided"
-        and finding.explained >= DISCRIMINATION.matters
+        if finding.verdict == "undecided" and finding.matters
     }
     if not pairs:
         return Plan()

@@ -440,7 +440,11 @@ def _below_residual(finding: Finding, residuals: Sequence[Residual]) -> str:
 def _confused(finding: Finding, other: Finding) -> str:
     """Reason if the torque of one cause may belong to the other."""
     name = plain(other.effect.name)
-    if cancelling(finding, other):
+    # of given friction, a finer law would have been chosen before both kinds that are off
+    of_given = all(
+        is_plain_friction(f.effect) and any(f.nominal) for f in (finding, other)
+    )
+    if cancelling(finding, other) and not of_given:
         return f"it and {name} mostly cancel"
     effect = finding.effect
     if not {*effect.joints} <= {*other.effect.joints}:

@@ -315,7 +315,7 @@ class DiscriminationThresholds:
     """Δ > this many times what is required is of no use. Convention."""
 
     matters: float = 0.01
-    """Share of the squared error explained ≥ this, or no motion is looked for. Convention."""
+    """Share of its joints' squared error explained ≥ this, or no experiment is told. Convention."""
 
     nearest: float = 0.01
     """Distance of collision shapes along the recording > this [m], or they are too rough."""

@@ -23,7 +23,6 @@ from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.diagnosis_result import key
 from excitant.analysis.discrimination_plan import plan
 from excitant.analysis.explanation import rivals_of
-from excitant.analysis.thresholds import DISCRIMINATION
 from excitant.design import random_trajectory
 from excitant.exceptions import Infeasible
 from excitant.identify import Recording, identify_robot
@@ -202,7 +201,7 @@ def settled(world: Case, before: Diagnosis) -> Iterator[dict[str, Any]]:
             became = "wrong" if named - true else "right" if decided else "open"
             told = proposed.experiments.get(key(*pair)) if rivals else proposed.general
             how = "motion" if told and told.file else "action"
-            if finding.explained < DISCRIMINATION.matters:
+            if not finding.matters:
                 how = "nothing"
             elif told and told.experiment.startswith("both make the same"):
                 how = "action, of one torque"
