@@ -37,7 +37,7 @@ COUNTS = (0.6, 0.25, 0.15)  # shares of one, two and three effects
 DIFFER = ("payload", "gravity_direction", "encoder_offset", "coulomb_friction", "viscous_friction",
           "torque_offset", "torque_gain")  # fmt: skip
 HARMONICS = 5  # of each motion
-SEARCH, MOST_RUNS = 15.0, 10  # for motions that settle [s]; of one of them
+SEARCH = 15.0  # for motions that settle [s]
 NOISE, ENCODER = 0.01, 2e-5  # of torque, of its standard deviation; of positions [rad]
 CORRELATION, BITS, HEADROOM = 0.02, 12, 1.5  # of coloured noise [s]; of torque, times its peak
 JITTER, GAINS = 0.1, (2.0, 30.0)  # of the period; of the drives [N·m/A]
@@ -182,37 +182,34 @@ def run(seed: int, number: int, asked: Asked, tell: bool = False) -> dict[str, A
 def settled(world: Case, before: Diagnosis) -> Iterator[dict[str, Any]]:
     """What becomes of what is undecided when the motions that are to decide it were run."""
     proposed = plan(before, np.random.default_rng(0), time_limit=SEARCH)
+    asking = [e for e in (*proposed.experiments.values(), proposed.general) if e and e.file]
+    times = {e.file: e.repetitions or 1 for e in sorted(asking, key=lambda e: e.repetitions or 1)}
     fitted, holdout = world.recordings
-    runs = []
-    for k, motion in enumerate(proposed.motions, start=1):
-        asking = [*proposed.experiments.values(), proposed.general]
-        most = max(e.repetitions or 1 for e in asking if e and e.file == f"separate-{k}.csv")
-        for repeat in range(min(most, MOST_RUNS)):
-            runs.append(world.read(motion, name=f"separate-{k}-{repeat}", duration=motion.period))
+    runs = [
+        world.read(motion, name=f"separate-{k}-{repeat}", duration=motion.period)
+        for k, motion in enumerate(proposed.motions, start=1)
+        for repeat in range(times[f"separate-{k}.csv"])
+    ]
     after = diagnose(world.robot, [fitted, *runs], validate=[holdout]) if runs else before
+    said = {(f.effect.name, j, f.verdict) for f in after.findings for j in f.effect.joints}
     for finding in before.findings:
         rivals = rivals_of(finding, before.findings)
         pairs = [(finding.effect, rival) for rival in rivals] or [(finding.effect,)]
         for pair in pairs if finding.verdict == "undecided" else ():
             ends = {(effect.name, *effect.joints) for effect in pair}
             true = {end for end in ends if is_true(end, world)}
-            named, open_ = (said(ends, after, verdict) for verdict in ("named", "undecided"))
+            named, open_ = (
+                {end for end in ends if said & {(end[0], j, verdict) for j in end[1:]}}
+                for verdict in ("named", "undecided")
+            )
             decided = named or not (true or open_)
             became = "wrong" if named - true else "right" if decided else "open"
             told = proposed.experiments.get(key(*pair)) if rivals else proposed.general
             how = "motion" if told and told.file else "action"
-            if not finding.matters:
-                how = "nothing"
-            elif told and told.experiment.startswith("both make the same"):
+            if told and "both make the same torque" in told.experiment:
                 how = "action, of one torque"
+            how = how if finding.matters else "nothing"
             yield {"pair": sorted(ends), "true": sorted(true), "how": how, "became": became}
-
-
-def said(ends: set[tuple[str, ...]], diagnosis: Diagnosis, verdict: str) -> set[tuple[str, ...]]:
-    """Causes by name and joints that a diagnosis has, with a verdict, at one of their joints."""
-    there = {(f.effect.name, j) for f in diagnosis.findings if f.verdict == verdict
-             for j in f.effect.joints}  # fmt: skip
-    return {end for end in ends if there & {(end[0], joint) for joint in end[1:]}}
 
 
 def is_true(end: tuple[str, ...], world: Case) -> bool:

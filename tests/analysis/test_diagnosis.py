@@ -234,11 +234,11 @@ def test_a_finding_lowers_the_error_while_joints_move(coulomb: Diagnosis) -> Non
 
 def cause(
     kind: str, explained: float = 0.5, joint: str = "joint1", torque: Pair | np.ndarray = ACTS,
-    scale: HoldoutScale = AS_FITTED, **shape: float,
+    scale: HoldoutScale = AS_FITTED, nominal: tuple[float, ...] = (), **shape: float,
 ) -> Finding:  # fmt: skip
     """Its effect, and its torque at each of two joints."""
     shown = {"effect": EFFECTS[kind]((joint,), **shape), "explained": explained, "scale": scale}
-    shown["part"] = explained
+    shown |= {"part": explained, "nominal": nominal}
     shown |= {"by_chance": lambda level: False, "is_open": False, "is_vague": False, "std": 0.0}
     return SimpleNamespace(**shown, torque=np.ones((100, 1)) * torque, share=1.0)
 
@@ -283,6 +283,8 @@ SLOW, FAST_RIPPLE = (cause("torque_ripple", order=order) for order in (1.4, 20.0
 SPRING, ON_SPRING = cause("spring"), "shares the position curve"
 SWING = np.sin(np.arange(100.0))[:, None] * ACTS
 ELSEWHERE = cause(STRIBECK, 0.0, "joint2")
+PLAIN = [cause(f"{kind}_friction", torque=way * SWING, nominal=(1.0,))
+         for kind, way in (("viscous", 1.0), ("coulomb", -0.9))]  # fmt: skip
 SWUNG, BACK, FAINT = cause("spring", 2.0, torque=SWING), "mostly cancel", "smaller than the 5 %"
 
 
@@ -319,6 +321,8 @@ def reason_among(*causes: Finding) -> str:
         (SWUNG, cause("torque_gain", 2.0, torque=-0.4 * SWING), ""),
         (SWUNG, cause("torque_gain", 2.0, torque=1.0 * SWING), ""),
         (SWUNG, cause("torque_gain", 2.0, "joint2", -0.9 * SWING), ""),
+        (PLAIN[0], cause("coulomb_friction", torque=-0.9 * SWING), BACK),
+        (*PLAIN, ""),  # given, both may be off
         # what unseen data take back, if by more than models are good to; friction may change
         (unseen("time_delay", 0.9, 0.04), ELSEWHERE, "is 0.90 ± 0.04 of the fitted one"),
         (unseen("time_delay", 0.9, 0.06), ELSEWHERE, ""),

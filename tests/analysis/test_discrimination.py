@@ -11,7 +11,7 @@ from marks import slow
 from planted import Diagnosed, drawn
 
 from excitant.analysis.diagnosis import Diagnosis
-from excitant.analysis.diagnosis_result import key
+from excitant.analysis.diagnosis_result import Advice, key
 from excitant.analysis.discrimination import Contest, Pair, Separation, along, needed
 from excitant.analysis.discrimination_plan import described, discriminating_motions, plan
 from excitant.analysis.thresholds import DISCRIMINATION, EVIDENCE
@@ -188,27 +188,35 @@ def test_an_action_is_named_where_no_motion_helps(undecided: Diagnosis) -> None:
     assert lead.effect.name in alike
     found = plan(undecided, np.random.default_rng(0))
     settles = found.experiments[key(lead.effect, rival)]
+    assert settles == Advice(settles.experiment)
+    assert settles.experiment.startswith("both make the same torque in every motion: repeat the")
     assert "without the load" in settles.experiment
     entries = undecided.result(found)["findings"][0]["rivals"]
-    entry = next(e for e in entries if e["effect"] == rival.name)
-    none = dict.fromkeys(("separation", "repetitions", "file"))
-    assert entry == entry | none | {"experiment": settles.experiment}
-    assert settles.file is None
+    assert settles.experiment in [entry["experiment"] for entry in entries]
+
+
+def test_a_doubt_without_a_rival_ends_with_a_motion_of_all_joints(undecided: Diagnosis) -> None:
+    lead = replace(undecided.findings[0], rivals=(), downgrade="its size is not known")
+    for part, words in ((1.0, "run separate-1.csv (60 s, all joints move)"), (0.0099, "none is")):
+        doubted = replace(undecided, findings=(replace(lead, part=part),))
+        found = plan(doubted, np.random.default_rng(0))
+        assert all(check(doubted.robot, motion).hold for motion in found.motions)
+        assert len(found.motions) == (part == 1.0)
+        assert doubted.result(found)["findings"][0]["experiment"].startswith(words)
 
 
 def test_without_a_plan_actions_stand(undecided: Diagnosis) -> None:
     [entry, *_] = undecided.result()["findings"]
     last = [undecided.robot.joints[-1]]
     assert (entry["joints"], entry["verdict"]) == (last, "undecided")
+    assert entry["experiment"] == entry["rivals"][0]["experiment"]
     for rival in entry["rivals"]:
         action = separating_experiment(EFFECTS[entry["effect"]], EFFECTS[rival["effect"]])
-        assert (rival["experiment"], rival["file"]) == (action, None)
-        assert rival["why"]
+        assert (rival["experiment"], rival["file"], bool(rival["why"])) == (action, None, True)
 
 
 def test_a_motion_is_described_by_what_moves(ur10: Robot) -> None:
-    sine = np.zeros((3, ur10.nv))
-    sine[:, 4] = (0.05, 0.05, -0.05)
+    sine = np.outer((0.05, 0.05, -0.05), np.arange(ur10.nv) == 4)
     motion = Trajectory(np.vstack([np.zeros((4, ur10.nv)), sine]), 20.0)
     assert described(motion, ur10) == "20 s, wrist_2_joint moves"
 
