@@ -93,7 +93,7 @@ def _deciding(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> str
     finding = max(undecided, key=lambda f: f.explained)
     if not finding.matters:
         share = f"{100 * DISCRIMINATION.matters:.0f} % of its joints' squared error"
-        return f"none is looked for: it explains less than {share}"
+        return f"none is looked for, as it explains less than {share}"
     advices = [
         plan.of(finding.effect, rival)
         for rival in rivals_of(finding, diagnosis.findings)

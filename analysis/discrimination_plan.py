@@ -367,9 +367,12 @@ def plan(
 
 
 def _general(motion: Trajectory, number: int, robot: Robot) -> Advice:
+    """The motion that shows all values better; the share is that of `--settle`."""
     file = f"separate-{number}.csv"
     words = f"run {file} ({described(motion, robot)}): it shows all values better"
-    return Advice(f"{words}, which decides most such doubts", None, 1, file)
+    return Advice(
+        f"{words}, which decides about half of such doubts", None, 1, file
+    )
 
 
 def _contest(diagnosis: Diagnosis, pairs: Sequence[Pair]) -> Contest:
@@ -456,13 +459,12 @@ def _experiment(
     pair = contest.pairs[index]
     action = separating_experiment(pair.found, pair.rival)
     best = _best(motions, index)
-    if best is None and largest.same_torque:
-        return Advice(f"both make the same torque in every motion: {action}")
-    if best is None and general is not None:
-        sentence = f"{_why_none(largest)}; {general.experiment}, or else: {action}"
-        return replace(general, experiment=sentence)
     if best is None:
-        return Advice(f"{_why_none(largest)}: {action}")
+        why = _why_none(largest)
+        if general is None or largest.same_torque:
+            return Advice(f"{why}: {action}")
+        sentence = f"{why}; {general.experiment}, or else: {action}"
+        return replace(general, experiment=sentence)
     runs = best.separations[index].repetitions
     deviations = float(np.sqrt(best.deltas[index]))
     file = f"separate-{motions.index(best) + 1}.csv"
@@ -477,6 +479,8 @@ def _experiment(
 def _why_none(largest: Separation) -> str:
     if largest.whole <= DISCRIMINATION.hopeless:
         return "given values within their tolerance make its torque in every motion"
+    if largest.same_torque:
+        return "both make the same torque in every motion"
     deviations = f"{np.sqrt(largest.delta):.2g} standard deviations"
     return f"no motion within the limits separates them by more than {deviations}"
 

@@ -37,7 +37,6 @@ COUNTS = (0.6, 0.25, 0.15)  # shares of one, two and three effects
 DIFFER = ("payload", "gravity_direction", "encoder_offset", "coulomb_friction", "viscous_friction",
           "torque_offset", "torque_gain")  # fmt: skip
 HARMONICS = 5  # of each motion
-SEARCH = 15.0  # for motions that settle [s]
 NOISE, ENCODER = 0.01, 2e-5  # of torque, of its standard deviation; of positions [rad]
 CORRELATION, BITS, HEADROOM = 0.02, 12, 1.5  # of coloured noise [s]; of torque, times its peak
 JITTER, GAINS = 0.1, (2.0, 30.0)  # of the period; of the drives [N·m/A]
@@ -160,7 +159,8 @@ def run(seed: int, number: int, asked: Asked, tell: bool = False) -> dict[str, A
             findings = [d.entry(robot) | few | {"explained": 1 - d.left} for d in told]
         else:
             diagnosis = diagnose(robot, [fitted], validate=[holdout])
-            findings = apart(diagnosis.result()["findings"])
+            told = diagnosis.result()["findings"]
+            findings = [part for each in told for part in each.get("parts", [each])]
             case["settled"] = list(settled(world, diagnosis)) if asked.settle else []
     except Exception as error:
         if tell:
@@ -181,34 +181,31 @@ def run(seed: int, number: int, asked: Asked, tell: bool = False) -> dict[str, A
 
 def settled(world: Case, before: Diagnosis) -> Iterator[dict[str, Any]]:
     """What becomes of what is undecided when the motions that are to decide it were run."""
-    proposed = plan(before, np.random.default_rng(0), time_limit=SEARCH)
+    proposed = plan(before, np.random.default_rng(0))
     asking = [e for e in (*proposed.experiments.values(), proposed.general) if e and e.file]
-    times = {e.file: e.repetitions or 1 for e in sorted(asking, key=lambda e: e.repetitions or 1)}
+    times = dict(sorted((e.file, e.repetitions) for e in asking))  # the most of each file
     fitted, holdout = world.recordings
     runs = [
-        world.read(motion, name=f"separate-{k}-{repeat}", duration=motion.period)
-        for k, motion in enumerate(proposed.motions, start=1)
-        for repeat in range(times[f"separate-{k}.csv"])
+        world.read(motion, name=f"{file} {k}", duration=motion.period)
+        for motion, (file, count) in zip(proposed.motions, times.items(), strict=True)
+        for k in range(count)
     ]
     after = diagnose(world.robot, [fitted, *runs], validate=[holdout]) if runs else before
     said = {(f.effect.name, j, f.verdict) for f in after.findings for j in f.effect.joints}
-    for finding in before.findings:
+    for finding in (f for f in before.findings if f.verdict == "undecided"):
         rivals = rivals_of(finding, before.findings)
-        pairs = [(finding.effect, rival) for rival in rivals] or [(finding.effect,)]
-        for pair in pairs if finding.verdict == "undecided" else ():
+        for pair in [(finding.effect, rival) for rival in rivals] or [(finding.effect,)]:
             ends = {(effect.name, *effect.joints) for effect in pair}
             true = {end for end in ends if is_true(end, world)}
-            named, open_ = (
-                {end for end in ends if said & {(end[0], j, verdict) for j in end[1:]}}
-                for verdict in ("named", "undecided")
-            )
-            decided = named or not (true or open_)
+            seen = {(e, v) for e in ends for name, j, v in said if name == e[0] and j in e[1:]}
+            named = {end for end, verdict in seen if verdict == "named"}
+            same = {(name, j, "named") for e in true for name in SAME.get(e[0], ()) for j in e[1:]}
+            decided = named or said & same or not (true or seen)
             became = "wrong" if named - true else "right" if decided else "open"
             told = proposed.experiments.get(key(*pair)) if rivals else proposed.general
-            how = "motion" if told and told.file else "action"
+            how = "motion" if told and told.file else "action" if finding.matters else "nothing"
             if told and "both make the same torque" in told.experiment:
                 how = "action, of one torque"
-            how = how if finding.matters else "nothing"
             yield {"pair": sorted(ends), "true": sorted(true), "how": how, "became": became}
 
 
@@ -246,10 +243,7 @@ def score(
     named = [any(is_it(f, h, robot) for f in sure) for h in hidden]
     said = [each for f in findings for each in (f, *f["rivals"])]
     found = [any(is_it(each, h, robot) for each in said) for h in hidden]
-    settled = [
-        name or any(_only_names(f, h, robot) for f in findings)
-        for name, h in zip(named, hidden, strict=True)
-    ]
+    settled = [any(_only_names(f, h, robot) for f in findings) for h in hidden]
     wrong = [
         f"{f['effect']}@{'+'.join(f['joints'][:2])}"
         for f in findings
@@ -269,11 +263,6 @@ def score(
     return judged | {"silent": silent, "near": near}
 
 
-def apart(findings: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Findings, with those of several kinds of friction one by one."""
-    return [part for finding in findings for part in finding.get("parts", [finding])]
-
-
 def is_it(finding: dict[str, Any], hidden: Hidden, robot: Robot) -> bool:
     """Whether a finding, or a rival of one, is what is hidden, at one of its joints."""
     first = " at the first joint" if hidden.joints == robot.joints[:1] else ""
@@ -285,9 +274,8 @@ def _only_names(finding: dict[str, Any], hidden: Hidden, robot: Robot) -> bool:
     """Whether a finding is what is hidden, and its rivals are other names of the same torque."""
 
     def same(each: dict[str, Any]) -> bool:
-        there = bool(set(each["joints"]) & set(hidden.joints))
-        wider = there and hidden.effect in SAME.get(each["effect"], ())
-        return wider or is_it(each, hidden, robot)
+        wider = hidden.effect in SAME.get(each["effect"], ())
+        return (wider and bool({*each["joints"]} & {*hidden.joints})) or is_it(each, hidden, robot)
 
     rivals = finding["rivals"]
     return bool(rivals) and all(map(same, (finding, *rivals)))
@@ -327,7 +315,7 @@ def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
     large = [e for e in effects if e[0]["size"] >= BINS[2]]
     rows = (
         ("effects of at least 5 %: named", [e[1] for e in large]),
-        ("  or only the name of that torque is open", [e[4] for e in large]),
+        ("  or only the name of that torque is open", [e[1] or e[4] for e in large]),
         ("effects of at least 5 %: named or undecided", [e[2] for e in large]),
         ("cases with a wrong name", [r["score"]["wrong"] for r in done]),
         ("set-up: the right name first", [s["first"] for s in set_up]),
