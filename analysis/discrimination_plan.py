@@ -396,15 +396,15 @@ def _pairs(diagnosis: Diagnosis, finding: Finding) -> list[Pair]:
     robot = diagnosis.robot
     effect = finding.effect
     added = np.array(effect.values or ()) - np.array(finding.nominal)
-    # another law, and a change of the set-up, have no coefficients
-    if not added.any():
+    # another law has no coefficients; set-ups that look the same do so for every motion
+    if not added.any() or not all(r.candidate.size for r in finding.rivals):
         return []
     pairs = []
     for rival in rivals_of(finding, diagnosis.findings):
+        found = [f.effect for f in diagnosis.findings if f is not finding]
+        others = [other for other in found if other is not rival]
+        beside = (*others, *_friction(robot, effect, rival, others))
         if rival.parameters(robot):
-            found = [f.effect for f in diagnosis.findings if f is not finding]
-            others = [other for other in found if other is not rival]
-            beside = (*others, *_friction(robot, effect, rival, others))
             pairs.append(Pair(effect.with_values(added), rival, beside))
     return pairs
 
