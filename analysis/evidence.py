@@ -25,7 +25,7 @@ import scipy
 from excitant.analysis.thresholds import EVIDENCE, SELECTION
 from excitant.identify.least_squares import autocorrelation_time, believed
 from excitant.identify.prior import placeholder_links
-from excitant.identify.regression import Regression
+from excitant.identify.regression import Regression, weighted
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Indices, frozen
 from excitant.robots.robot import Robot
@@ -73,12 +73,19 @@ class SetFit:
         active: Active columns.
         root: L of L Lᵀ, their information.
         coordinates: Of all columns, zero where inactive, shape (p,).
+        products: Of the active columns with all and the residual, weighted, (active, p + 1).
     """
 
     problem: Regression
     active: Indices
     root: Array
     coordinates: Array
+    products: Array
+
+    @cached_property
+    def half(self) -> Array:
+        """H = L⁻¹ of the products: beside the set, HᵀH is off the products of all columns."""
+        return frozen(_halved(self.root, self.products))
 
     @cached_property
     def residual(self) -> Array:
@@ -135,12 +142,11 @@ class Evidence:
         """Xᵀ Λ X, shape (p, p)."""
         return self.products[:-1, :-1]
 
-    @cached_property
-    def information(self) -> Array:
-        """Xᵀ Λ X with the prior precision, shape (p, p)."""
-        information = self.gram.copy()
-        information.flat[:: len(information) + 1] += self.precision
-        return frozen(information)
+    def information(self, columns: Indices) -> Array:
+        """Xᵀ Λ X of some columns with the prior precision, shape (k, k)."""
+        information = self.gram[np.ix_(columns, columns)]
+        information.flat[:: len(columns) + 1] += self.precision[columns]
+        return information
 
     @property
     def moment(self) -> Array:
@@ -164,10 +170,11 @@ class Evidence:
 
     def _fitted(self, chosen: Sequence[Candidate]) -> SetFit:
         active = self.active(chosen)
-        root = _root(self.information[np.ix_(active, active)])
+        root = _root(self.information(active))
         coordinates = np.zeros(len(self.moment))
         coordinates[active] = _by_root(root, self.moment[active])
-        return SetFit(self.problem, active, root, frozen(coordinates))
+        products = self.products[active]
+        return SetFit(self.problem, active, root, frozen(coordinates), products)
 
     def cost(self, chosen: Sequence[Candidate]) -> float:
         """J of a set of candidates."""
@@ -184,26 +191,41 @@ class Evidence:
         fit = self.fit(chosen)
         active = fit.active
         at = np.arange(candidate.columns.start, candidate.columns.stop)
-        cross = self.information[np.ix_(active, at)]
         per_unit = np.zeros((len(self.moment), len(at)))
         per_unit[at] = np.eye(len(at))
+        cross = fit.products[:, at]
         per_unit[active] = -fit.solved(cross)
-        own = self.information[np.ix_(at, at)] + cross.T @ per_unit[active]
-        own[np.diag_indices_from(own)] += _ROUNDING * self.information[at, at]
+        own = self.information(at)
+        own.flat[:: len(at) + 1] *= 1 + _ROUNDING
+        own += cross.T @ per_unit[active]
         return per_unit, own
 
-    def fall(self, chosen: Sequence[Candidate], candidate: Candidate) -> float:
-        """Fall of J by adding a candidate to a set."""
-        per_unit, own = self.beside(chosen, candidate)
-        score = self.moment @ per_unit
+    def fall(
+        self,
+        chosen: Sequence[Candidate],
+        candidate: Candidate,
+        more: Sequence[Candidate] = (),
+    ) -> float:
+        """Fall of J by adding a candidate to a set, and to some more that are none of it."""
+        columns = np.concatenate([np.r_[c.columns] for c in (*more, candidate)])
+        fit = self.fit(chosen)
+        half = fit.half[:, columns]
+        own = self.information(columns)
+        own.flat[:: len(columns) + 1] *= 1 + _ROUNDING
+        own -= half.T @ half
+        score = self.moment[columns] - half.T @ fit.half[:, -1]
+        if first := len(columns) - candidate.size:
+            root = np.asarray(np.linalg.cholesky(own[:first, :first]), float)
+            half = _halved(
+                root, np.column_stack([own[:first, first:], score[:first]])
+            )
+            own = own[first:, first:] - half[:, :-1].T @ half[:, :-1]
+            score = score[first:] - half[:, :-1].T @ half[:, -1]
         return float(score @ _solved(own, score))
 
     def additions(self, chosen: Sequence[Candidate]) -> Array:
         """Fall of J by adding each of the candidates to a set, shape (candidates,)."""
-        fit = self.fit(chosen)
-        half = scipy.linalg.solve_triangular(
-            fit.root, self.products[fit.active], lower=True
-        )
+        half = self.fit(chosen).half
         half, projected = half[:, :-1], half[:, -1]
         rest = self.moment - half.T @ projected
         falls = np.empty(len(self.candidates))
@@ -284,9 +306,8 @@ class Evidence:
     def cosine(self, one: Candidate, other: Candidate) -> float:
         """Largest |cos| between two candidates' columns, the nuisance projected out."""
         columns = np.r_[one.columns, other.columns]
-        cross = self.gram[: self.nuisance, columns]
-        solved = self.fit(()).solved(cross)
-        G = self.gram[np.ix_(columns, columns)] - cross.T @ solved
+        half = self.fit(()).half[:, columns]
+        G = self.gram[np.ix_(columns, columns)] - half.T @ half
         k = one.size
         whiten = [_inverse_root(block) for block in (G[:k, :k], G[k:, k:])]
         cosines = np.linalg.svd(
@@ -351,6 +372,14 @@ def _root(A: Array) -> Array:
     scaled = unit[:, None] * A * unit
     scaled.flat[:: len(A) + 1] += _ROUNDING
     return np.asarray(np.linalg.cholesky(scaled) / unit[:, None], float)
+
+
+def _halved(root: Array, right: Array) -> Array:
+    """L⁻¹ times a right-hand side, L the root."""
+    half = scipy.linalg.solve_triangular(
+        root, right, lower=True, check_finite=False
+    )
+    return np.asarray(half, float)
 
 
 def _by_root(root: Array, right: Array) -> Array:
@@ -458,9 +487,9 @@ def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
     problem = evidence.problem
     loose = _FREE * np.diag(evidence.precision[active])
     coordinates = np.zeros(problem.p)
+    of_joints = problem.products_of(active)
     for _ in range(_NOISE_ITERATIONS):
-        # of these columns alone, which is quick
-        products = problem.gram(evidence.weight, active)
+        products = weighted(of_joints, evidence.weight)
         A = products[:-1, :-1] + loose
         coordinates[active] = _solved(A, products[:-1, -1])
         sigma, inflation = _noise(problem.residual(coordinates), evidence.counted)
@@ -522,7 +551,7 @@ def _typical_deviation(evidence: Evidence, part: Indices, robot: Robot) -> float
     m = evidence.moment[part]
     if len(others):
         beside = evidence.gram[np.ix_(others, part)]
-        cross = _solved(evidence.information[np.ix_(others, others)], beside)
+        cross = _solved(evidence.information(others), beside)
         H = H - beside.T @ cross
         m = m - cross.T @ evidence.moment[others]
     unit = 1 / np.sqrt(evidence.precision[part])

@@ -138,7 +138,7 @@ def _simplest(
     if not special:
         return cause
     beside = [*chosen, *special]
-    fall = evidence.fall(beside, cause)
+    fall = evidence.fall(chosen, cause, special)
     if _significant(evidence, beside, cause, fall):
         return cause
     return max(special, key=lambda c: evidence.fall(chosen, c))
@@ -329,9 +329,10 @@ def rivals(
         added = [c for c in standard if missing and c.effect.joints == joints]
         if fall <= least and not added:
             continue
-        instead = [*rest, other, *(c for c in added if c not in (other, cause))]
-        if evidence.fall(instead, cause) > least:
+        new = [other, *(c for c in added if c not in (other, cause))]
+        if evidence.fall(rest, cause, new) > least:
             continue
+        instead = [*rest, *new]
         deviations = float(in_deviations(evidence.block_errors(instead) - errors))
         cosine = evidence.cosine(cause, other)
         rival = Rival(other, tuple(instead), deviations, cosine)

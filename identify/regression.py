@@ -11,12 +11,14 @@ and those beyond, and its own friction, so that less than half of W is held.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from excitant.exceptions import BadInput
 from excitant.identify.preprocessing import Segment
@@ -230,21 +232,33 @@ class Regression:
         joints = [np.column_stack([X, tau]) for X, tau in pairs]
         return tuple(frozen(both.T @ both) for both in joints)
 
-    def gram(self, weight: Array, columns: Indices | None = None) -> Array:
-        """[W τ]ᵀ[W τ] of all p or some columns, joints weighted, shape (p + 1, p + 1)."""
-        columns = np.arange(self.p) if columns is None else columns
+    @cached_property
+    def products(self) -> scipy.sparse.csc_array:
+        """Of each joint [W τ]ᵀ[W τ] among all columns, as a column, shape ((p + 1)², nv)."""
+        return self.products_of(np.arange(self.p))
+
+    def products_of(self, columns: Indices) -> scipy.sparse.csc_array:
+        """Of each joint [W τ]ᵀ[W τ] of some columns, as a column, shape ((columns + 1)², nv)."""
         size = len(columns) + 1
-        place = np.full(self.p + 1, -1)
+        place = np.full(self.p + 1, -1, np.int32)
         place[np.append(columns, self.p)] = np.arange(size)
-        total = np.zeros(size * size)
-        for w, index, gram in zip(weight, self.index, self.grams, strict=True):
+        rows = []
+        values = []
+        for index, gram in zip(self.index, self.grams, strict=True):
             target = place[np.append(index, self.p)]
             here = np.flatnonzero(target >= 0)
             own = gram if len(here) == len(gram) else gram[np.ix_(here, here)]
-            rows = target[here]
-            # by one index each, which is quicker than by two
-            total[rows[:, None] * size + rows] += w * own
-        return total.reshape(size, size)
+            at = target[here]
+            rows.append((at[:, None] * size + at).ravel())
+            values.append(own.ravel())
+        ends = np.cumsum([0, *map(len, rows)], dtype=np.int32)
+        parts = np.concatenate(values), np.concatenate(rows), ends
+        return scipy.sparse.csc_array(parts, shape=(size * size, self.nv))
+
+    def gram(self, weight: Array, columns: Indices | None = None) -> Array:
+        """[W τ]ᵀ[W τ] of all p or some columns, joints weighted, shape (p + 1, p + 1)."""
+        products = self.products if columns is None else self.products_of(columns)
+        return weighted(products, weight)
 
     @cached_property
     def triangles(self) -> tuple[Array, ...]:
@@ -281,6 +295,12 @@ class Regression:
             part[:, np.append(index, self.p)] = w * R
             parts.append(part)
         return np.concatenate(parts)
+
+
+def weighted(products: scipy.sparse.csc_array, weight: Array) -> Array:
+    """Sum of products of joints, as of `Regression.products_of`, weighted, square."""
+    size = math.isqrt(products.shape[0])
+    return np.asarray(products @ weight, float).reshape(size, size)
 
 
 def triangle(A: Array) -> Array:
