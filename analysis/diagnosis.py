@@ -747,8 +747,5 @@ def _replaceable(robot: Robot, fit: Extension) -> frozenset[Key]:
         cause.key
         for cause in fit.chosen
         if not cause.effect.physics.on_model
-        and any(
-            rival.candidate.effect.physics.depends_on == "torque"
-            for rival in rivals(fit.evidence, robot, fit.chosen, cause)
-        )
+        and rivals(fit.evidence, robot, fit.chosen, cause, of_torque=True)
     )

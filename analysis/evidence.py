@@ -214,14 +214,9 @@ class Evidence:
         own.flat[:: len(columns) + 1] *= 1 + _ROUNDING
         own -= half.T @ half
         score = self.moment[columns] - half.T @ fit.half[:, -1]
-        if first := len(columns) - candidate.size:
-            root = np.asarray(np.linalg.cholesky(own[:first, :first]), float)
-            half = _halved(
-                root, np.column_stack([own[:first, first:], score[:first]])
-            )
-            own = own[first:, first:] - half[:, :-1].T @ half[:, :-1]
-            score = score[first:] - half[:, :-1].T @ half[:, -1]
-        return float(score @ _solved(own, score))
+        # the last rows of the triangle are the candidate's, beside all else
+        falls = _halved(_root(own), score)[-candidate.size :] ** 2
+        return float(falls.sum())
 
     def additions(self, chosen: Sequence[Candidate]) -> Array:
         """Fall of J by adding each of the candidates to a set, shape (candidates,)."""

@@ -299,12 +299,18 @@ class Rival:
 
 
 def rivals(
-    evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], cause: Candidate
+    evidence: Evidence,
+    robot: Robot,
+    chosen: Sequence[Candidate],
+    cause: Candidate,
+    *,
+    of_torque: bool = False,
 ) -> list[Rival]:
     """Causes that could replace a chosen one, by the residual of each (Vuong 1989).
 
     A rival explains at least half of what the cause explains, and leaves it less than half to
-    explain. On joints without nominal friction, the standard model's may be added to it.
+    explain. On joints without nominal friction, the standard model's may be added to it. Or only
+    those ``of_torque``, which are read from that of the model.
     """
     rest = [c for c in chosen if c is not cause]
     keys = {c.key for c in chosen}
@@ -319,6 +325,8 @@ def rivals(
     ]
     best: dict[Key, Rival] = {}
     for fall, other in zip(falls, evidence.candidates, strict=True):
+        if of_torque and other.effect.physics.depends_on != "torque":
+            continue
         if other.key in keys or _only_more(evidence, cause, other):
             continue
         # standard friction at the joint of a friction cause, as far as it is missing

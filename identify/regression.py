@@ -247,18 +247,16 @@ class Regression:
         for index, gram in zip(self.index, self.grams, strict=True):
             target = place[np.append(index, self.p)]
             here = np.flatnonzero(target >= 0)
-            own = gram if len(here) == len(gram) else gram[np.ix_(here, here)]
             at = target[here]
             rows.append((at[:, None] * size + at).ravel())
-            values.append(own.ravel())
+            values.append(gram[np.ix_(here, here)].ravel())
         ends = np.cumsum([0, *map(len, rows)], dtype=np.int32)
         parts = np.concatenate(values), np.concatenate(rows), ends
         return scipy.sparse.csc_array(parts, shape=(size * size, self.nv))
 
-    def gram(self, weight: Array, columns: Indices | None = None) -> Array:
-        """[W τ]ᵀ[W τ] of all p or some columns, joints weighted, shape (p + 1, p + 1)."""
-        products = self.products if columns is None else self.products_of(columns)
-        return weighted(products, weight)
+    def gram(self, weight: Array) -> Array:
+        """[W τ]ᵀ[W τ] of all columns, joints weighted, shape (p + 1, p + 1)."""
+        return weighted(self.products, weight)
 
     @cached_property
     def triangles(self) -> tuple[Array, ...]:

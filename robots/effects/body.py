@@ -23,7 +23,12 @@ from excitant.robots.effects.base import (
 from excitant.robots.effects.search import BOUND_STDS, Search, above
 from excitant.robots.motion import Array, Motion, numbered, root_mean_square
 from excitant.robots.parameters import STANDARD, UNITS
-from excitant.robots.regressor import gravity_torque, regressor, rigid_body_torque
+from excitant.robots.regressor import (
+    gravity_torque,
+    regressor,
+    rigid_body_torque,
+    rigid_torque,
+)
 from excitant.robots.robot import Robot
 
 GRAVITY_TOLERANCE = 0.05  # of its size, by which a turned gravity may differ
@@ -68,6 +73,8 @@ class KinematicError(Effect):
         A central difference, which is exact: torque is quadratic in a placement.
         """
         j = self.rows(robot)[0]
+        if not robot.model.parents[j + 1]:  # no torque tells where the base stands
+            return np.zeros(motion.q.shape)
         ahead = rigid_body_torque(_moved(robot, j, shift), motion)
         behind = rigid_body_torque(_moved(robot, j, -shift), motion)
         return (ahead - behind) / 2
@@ -148,6 +155,11 @@ class AddedInertia(Effect):
         Y = regressor(robot, motion)
         parts = [Y[:, :, 10 * j : 10 * j + 10] for j in self.rows(robot)]
         return np.concatenate(parts, axis=2)
+
+    def torque(self, robot: Robot, motion: Motion) -> Array:
+        return rigid_torque(self.applied(robot), motion) - rigid_torque(
+            robot, motion
+        )
 
     def applied(self, robot: Robot) -> Robot:
         phi = np.array(robot.phi).reshape(-1, 10)
