@@ -20,7 +20,12 @@ from excitant.identify.accuracy import (
     series,
 )
 from excitant.identify.drive_gains import BODY_STD, DriveGains
-from excitant.identify.estimators import ESTIMATORS, estimated, spoiled
+from excitant.identify.estimators import (
+    ESTIMATORS,
+    estimated,
+    spoiled,
+    without_gross_errors,
+)
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.physical import AGREEMENT, PhysicalFit, fit_physical
@@ -395,16 +400,19 @@ def identify_robot(
         notes += (shapes.sentence,)
     logs = fitted(recordings, validate)
     rows, fit, name, remarks = estimated(rows, logs, estimator)
-    R, z = rows.regression.factor(fit.weight)
     noise = of_noise(rows, fit)
     if name in BIASED:
         fit = _with_bias(rows, fit, noise)
+    sound = rows
+    if name == "irls":
+        tau = without_gross_errors(rows.reduced, fit)
+        sound = replace(rows, regression=rows.regression.with_torque(tau))
+    R, z = sound.regression.factor(fit.weight)
     if name != "wls":
         z = R[:, rows.base.columns] @ fit.beta
     physical, near = _bodies(R, z, prior, rows, known)
-    if name != "irls":  # gross errors hide what else is in them
-        fit, physical, told = allowing_for_springs(rows, fit, physical, noise, near)
-        remarks += told
+    fit, physical, told = allowing_for_springs(sound, fit, physical, noise, near)
+    remarks += told
     if shapes is not None and shapes.better:
         fit, physical = widened(fit, physical, rows.base, shapes.spread)
     if turns:

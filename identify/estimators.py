@@ -278,15 +278,28 @@ def irls(problem: Regression) -> LeastSquares:
     start = factorised(problem, _scale(centred, 0))
     beta = _settled(start, start.solve(), _huber)
     beta = _settled(start, beta, _student)
-    residual = problem.residual(beta)
-    sigma = _scale(problem.counted(residual), problem.p)
-    u = residual / sigma
+    sigma = _scale(problem.counted(problem.residual(beta)), problem.p)
+    error, flat = _influence(problem, beta, sigma)
+    factor = factorised(problem, sigma / np.sqrt(flat))
+    return with_covariance(factor, beta, error, sigma)
+
+
+def without_gross_errors(problem: Regression, fit: LeastSquares) -> Array:
+    """The pseudo-torque of `irls`, shape (n, nv) [torque unit]."""
+    error, _ = _influence(problem, fit.beta, fit.sigma)
+    return problem.tau - problem.residual(fit.beta) + error
+
+
+def _influence(
+    problem: Regression, beta: Array, sigma: Array
+) -> tuple[Array, Array]:
+    """Errors σ_j ψ / m_j of the rows, shape (n, nv), and m_j, (nv,)."""
+    u = problem.residual(beta) / sigma
     nu = ROBUST.student
     slope = (nu + 1) * (nu - u**2) / (nu + u**2) ** 2
     means = [values.mean() for values in problem.counted(slope)]
     flat = np.maximum(means, ROBUST.flattest)
-    factor = factorised(problem, sigma / np.sqrt(flat))
-    return with_covariance(factor, beta, sigma * u * _student(u) / flat, sigma)
+    return sigma * u * _student(u) / flat, flat
 
 
 def _huber(u: Array) -> Array:
