@@ -22,10 +22,12 @@ from excitant.identify.accuracy import (
 from excitant.identify.drive_gains import BODY_STD, DriveGains
 from excitant.identify.estimators import (
     ESTIMATORS,
+    FALSE_ALARM,
     estimated,
     spoiled,
     without_gross_errors,
 )
+from excitant.identify.information import square_root
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.physical import AGREEMENT, PhysicalFit, fit_physical
@@ -106,6 +108,10 @@ BIASED = ("wls", "irls")
 """Estimators that noise of the motion biases."""
 TORQUE_ROUNDS = 2
 """Fits until the torque that columns hold is that of the identified arm."""
+_LACKING = (
+    "the data are {:.2g} times further from what any possible arm does than noise explains: the "
+    "model lacks something, and the ± of all parameters are as many times wider"
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -407,21 +413,16 @@ def identify_robot(
     if name == "irls":
         tau = without_gross_errors(rows.reduced, fit)
         sound = replace(rows, regression=rows.regression.with_torque(tau))
-    R, z = sound.regression.factor(fit.weight)
-    if name != "wls":
-        z = R[:, rows.base.columns] @ fit.beta
-    physical, near = _bodies(R, z, prior, rows, known)
-    fit, physical, told = allowing_for_springs(sound, fit, physical, noise, near)
+    fit, physical, told = _with_bodies(sound, fit, noise, prior, known, name)
     remarks += told
-    if shapes is not None and shapes.better:
-        fit, physical = widened(fit, physical, rows.base, shapes.spread)
+    spreads = [shapes.spread] if shapes is not None and shapes.better else []
     if turns:
-        spread = turning_spread(rows, fit, physical.covariance)
-        fit, physical = widened(fit, physical, rows.base, spread)
+        spreads.append(turning_spread(rows, fit, physical.covariance))
     if delay is not None:
-        spread = spread_of(delay, rows, fit, physical.covariance)
-        fit, physical = widened(fit, physical, rows.base, spread)
+        spreads.append(spread_of(delay, rows, fit, physical.covariance))
         remarks += (delay.sentence,)
+    if spreads:
+        fit, physical = widened(fit, physical, rows.base, np.hstack(spreads))
     estimate = judged(robot, rows, fit, physical, (*notes, *remarks))
     return replace(
         estimate,
@@ -434,13 +435,88 @@ def identify_robot(
     )
 
 
+def _with_bodies(
+    rows: FitRows,
+    fit: LeastSquares,
+    noise: Array,
+    prior: Array,
+    known: Knowledge,
+    name: str,
+) -> tuple[LeastSquares, PhysicalFit, tuple[str, ...]]:
+    """Both fits by an estimator, beside springs if any, and what is told of what the model lacks.
+
+    Where it lacks something, the data contradict no mass: those that no description misses so far
+    are fitted anew, to data that are as much less certain.
+    """
+
+    def fitted_to(
+        fit: LeastSquares, times: float
+    ) -> tuple[LeastSquares, PhysicalFit, tuple[str, ...]]:
+        R, z = rows.regression.factor(fit.weight)
+        if name != "wls":
+            z = R[:, rows.base.columns] @ fit.beta
+        physical, near = _bodies(R, z, prior, rows, known, firm=times > 1)
+        return allowing_for_springs(rows, fit, physical, noise, near, times)
+
+    wider, physical, told = fitted_to(fit, 1.0)
+    times = _beyond_noise(rows, wider, physical, known)
+    if times == 1:
+        return wider, physical, told
+    masses = physical.x[: len(prior) * 10 : 10] / prior[:, 0]
+    change = np.abs(np.log(masses[_described(rows.robot)]))
+    if (change > np.log(tables.IMPOSSIBLE_CHANGE)).any():
+        wider, physical, told = fitted_to(fit.widened(times), times)
+    else:
+        wider = wider.widened(times)
+        physical = physical.widened(times)
+    return wider, physical, (*told, _LACKING.format(times))
+
+
+def _beyond_noise(
+    rows: FitRows, fit: LeastSquares, physical: PhysicalFit, known: Knowledge
+) -> float:
+    """How many times further from all possible arms the data are than by their ±; 1 by chance.
+
+    Birge's ratio √(χ² / freedom), of what bodies could not follow (Birge 1932): those of a fit, and
+    if it is not theirs by chance, of one by the covariance of the base parameters.
+    """
+    root = square_root(fit.uncertainty)
+    R, z = (
+        scipy.linalg.solve_triangular(root, values, lower=True)
+        for values in (rows.base.regrouping, fit.beta)
+    )
+
+    def ratio(physical: PhysicalFit) -> float:
+        misfit = float(((R @ physical.x - z) ** 2).sum())
+        freedom = max(len(z) - physical.followed, 1.0)
+        by_chance = misfit < scipy.special.chdtri(freedom, FALSE_ALARM)
+        return 1.0 if by_chance else float(np.sqrt(misfit / freedom))
+
+    if ratio(physical) == 1:
+        return 1.0
+    links = rows.robot.links
+    return ratio(fit_physical(R, z, physical.prior, rows.open_prior, known, links))
+
+
+def _described(robot: Robot) -> Mask:
+    """Links of whose mass the robot tells something, but the last: that may carry any tool."""
+    described = ~placeholder_links(robot)
+    described[-1] = False
+    return described
+
+
 def _bodies(
-    R: Array, z: Array, prior: Array, rows: FitRows, known: Knowledge
+    R: Array,
+    z: Array,
+    prior: Array,
+    rows: FitRows,
+    known: Knowledge,
+    firm: bool,
 ) -> tuple[PhysicalFit, Knowledge]:
     """The physically consistent fit, and what it takes for known.
 
     Descriptions tell masses better than shapes, torque tells them worse: they are near the given
-    ones where these, and the torque then left, are off by chance. The last link may carry any tool.
+    ones if that is firm, or where these, and the torque then left, are off by chance.
     """
     robot = rows.robot
 
@@ -449,8 +525,7 @@ def _bodies(
         return fit_physical(R, z, bodies, effects, knowledge, robot.links)
 
     free = fitted_with(prior, known)
-    told = ~placeholder_links(robot)
-    told[-1] = False
+    told = _described(robot)
     given = prior[told, 0]
     if not len(given):
         return free, known
@@ -460,7 +535,8 @@ def _bodies(
     left, least = (float(((R @ fit.x - z) ** 2).sum()) for fit in (tied, free))
     off = (tied.x[: 10 * robot.nv : 10][told] / given - 1) / BODY_STD
     chance = float(scipy.special.chdtri(len(given), AGREEMENT.false_alarm))
-    return (tied, near) if left - least + off @ off < chance else (free, known)
+    by_chance = left - least + off @ off < chance
+    return (tied, near) if firm or by_chance else (free, known)
 
 
 def _motion_rows(

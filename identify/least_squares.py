@@ -19,6 +19,7 @@ method for the coefficients), and an estimate over its standard deviation is Stu
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -88,6 +89,14 @@ class LeastSquares(Noun):
     def weight(self) -> Array:
         """Weights of joints' rows with which squares are −2 log-likelihood, shape (nv,)."""
         return 1 / (self.sigma * np.sqrt(self.inflation))
+
+    def widened(self, times: float) -> Self:
+        """The estimate so many times less certain, as if by colour of the noise."""
+        return replace(
+            self,
+            covariance=times**2 * self.covariance,
+            inflation=times**2 * self.inflation,
+        )
 
 
 @dataclass(frozen=True, eq=False)

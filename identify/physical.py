@@ -14,6 +14,7 @@ projected afterwards (Sousa and Cortesão 2014).
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import scipy
@@ -105,6 +106,24 @@ class PhysicalFit(Noun):
         before = (self.root**2).sum(axis=1)
         ratio = quotient(after, before, otherwise=1.0)
         return np.sqrt(np.clip(ratio, 0.0, 1.0))
+
+    @property
+    def followed(self) -> float:
+        """Directions of the data that the fit follows, each counted by how far it does.
+
+        Coefficients at zero, their least value, follow none.
+        """
+        free = self.x != 0
+        seen = np.linalg.svd(self.R[:, free] @ self.root[free], compute_uv=False)
+        return float((seen**2 / (1 + seen**2)).sum())
+
+    def widened(self, times: float) -> Self:
+        """The fit with the uncertainty of data that are so many times less certain."""
+        R = self.R / times
+        _, seen, Vt = np.linalg.svd(R @ self.root)
+        seen = np.pad(seen, (0, len(Vt) - len(seen)))
+        after = self.root @ Vt.T / np.hypot(1, seen)
+        return replace(self, R=R, covariance=after @ after.T)
 
     @cached_property
     def influence(self) -> Array:

@@ -102,7 +102,8 @@ def of_bodies(estimate: Estimate) -> list[Objection]:
     why = f"{'; '.join(changes)}, which the data do not tell alone"
     advice = "excite more, or say what is known of these bodies (--knowledge)"
     if max(changes.values()) < 0 and 2 * len(changes) >= estimate.given.nv:
-        advice = f"see whether torque is that of motors, or in another unit; else {advice}"
+        signs = "of the opposite sign, or in another unit"
+        advice = f"see whether torque is that of motors, {signs}; else {advice}"
     return [Objection(why, advice)]
 
 

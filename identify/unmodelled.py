@@ -209,12 +209,13 @@ def allowing_for_springs(
     physical: PhysicalFit,
     noise: Array,
     knowledge: Knowledge,
+    times: float,
 ) -> tuple[LeastSquares, PhysicalFit, tuple[str, ...]]:
     """Both fits with springs that the model lacks, and what is told of these.
 
     The fits are as they were where neither errors nor nominal bodies show any. Else base parameters
     get the bias, and bodies are fitted beside springs. E[EᵀE] β of errors E of the columns is
-    noise, shape (r,); see `attenuation`.
+    noise, shape (r,); see `attenuation`. The data are so many times less certain than by noise.
     """
     robot = rows.robot
     seen, noisy = _seen(rows, fit, noise)
@@ -229,7 +230,7 @@ def allowing_for_springs(
     columns = effect_columns(robot, springs, rows.data.train)
     wide = rows.regression.with_parts(columns, names)
     size = _sizes(rows)
-    R, z = wide.factor(noisy.weight)
+    R, z = wide.factor(noisy.weight / times)
     z = z + R[:, rows.base.columns] @ _beyond_least_squares(rows, fit)
     scaled = np.hstack([R[:, :end], R[:, end:] * size.ravel()])
     bodies = physical.prior.bodies

@@ -284,3 +284,13 @@ def test_real_ur10e_is_predicted_from_its_currents(data_folder: Path) -> None:
     assert told[:-1].all()
     assert np.abs(found.gains - 11)[told].max() < 3
     assert (found.validate.r2 > 0.5).all(), found.validate.r2
+
+
+def test_what_no_arm_does_widens_every_interval_and_moves_no_mass_far(ur10, nominal, runs) -> None:
+    """A link has products of inertia that no body has: the model lacks something, and says so."""
+    phi = ur10.phi.copy()
+    phi[[25, 35, 45]] += [0.5, 0.3, 0.1]
+    without, found = identified(ur10, nominal), identified(ur10, runs(ur10.with_parameters(phi), 1))
+    assert [any("possible arm" in x for x in each.notes) for each in (without, found)] == [0, 1]
+    assert (found.base_std > 2 * without.base_std).all()
+    np.testing.assert_allclose(found.phi[::10], ur10.phi[::10], rtol=0.3)

@@ -74,7 +74,7 @@ def test_masses_that_no_description_misses_so_far_forbid_it(data_folder: Path) -
     note = publication(found).note
     assert light
     assert all(f"{arm.robot.links[k]} has " in note for k in light)
-    assert "not tell alone; excite more" in note
+    assert "which the data do not tell alone" in note
     assert publication(found, force=True).published
     # of links of which nothing is said none is too far off
     bare = replace(found, given=arm.robot.with_parameters(np.tile(arm.robot.phi[:10], 6)))
