@@ -65,6 +65,7 @@ class LeastSquares(Noun):
         sigma: Standard deviation of each joint's residual, shape (nv,) [torque unit].
         inflation: Rows of each joint that count as one independent row, at least 1, (nv,).
         bias: Root of the second moment of its bias by what the model lacks, shape (r, k).
+        excess: How many times wider covariance and inflation are than noise makes deviations.
     """
 
     beta: Array
@@ -72,6 +73,7 @@ class LeastSquares(Noun):
     sigma: Array
     inflation: Array
     bias: Array | None = field(default=None, kw_only=True)
+    excess: float = field(default=1.0, kw_only=True)
 
     @property
     def uncertainty(self) -> Array:
@@ -82,8 +84,8 @@ class LeastSquares(Noun):
 
     @property
     def std(self) -> Array:
-        """Standard deviations of the estimate, shape (r,)."""
-        return np.sqrt(np.diag(self.covariance))
+        """Standard deviations of the estimate by noise alone, shape (r,)."""
+        return np.sqrt(np.diag(self.covariance)) / self.excess
 
     @property
     def weight(self) -> Array:
@@ -96,6 +98,7 @@ class LeastSquares(Noun):
             self,
             covariance=times**2 * self.covariance,
             inflation=times**2 * self.inflation,
+            excess=times * self.excess,
         )
 
 
