@@ -733,10 +733,12 @@ def finding_of(
         (without * weight)[:, joints], (torque * weight)[:, joints]
     )
     lead = effect.rows(robot)[0]
+    # a joint that rests throughout shows no torque but what dry friction holds
+    size = rows.rms(torque) * rows.moves.any(axis=0)
     if not effect.jointwise:
-        lead = int(np.argmax(rows.rms(torque) / rows.rms(error)))
+        lead = int(np.argmax(size / rows.rms(error)))
     measured = np.maximum(rows.rms(rows.measured), 1e-300)
-    share = float((rows.rms(torque) / measured).max())
+    share = float((size / measured).max())
     margin = scale.gain
     margin -= max(CONFIRMATION.floor, CONFIRMATION.deviations * scale.gain_std)
     # what depends on the model looks like noise of positions

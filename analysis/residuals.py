@@ -171,6 +171,8 @@ class Residual:
     given: float  # rms that the given model leaves
     correlation_s: float  # how long the error stays correlated [s]
     shares: Mapping[str, float]  # of the error's power, by `QUANTITIES`
+    # whether it ever moves: at rest, dry friction holds what is left
+    moves: bool = True
 
     @property
     def structured(self) -> float:
@@ -179,11 +181,12 @@ class Residual:
 
     @property
     def visible(self) -> bool:
-        """Whether it is slow, well above the noise, and a material share of the given error."""
+        """Whether it is of motion, slow, well above noise and a material share of the given one."""
         share = self.structured**2 / max(self.given**2, 1e-300)
         slow = self.correlation_s > STRUCTURED.correlation_s / 2
         return (
-            slow
+            self.moves
+            and slow
             and self.structured > STRUCTURED.visible * self.floor
             and share > STRUCTURED.share
         )
@@ -249,6 +252,7 @@ def residuals(
                 given=float(root_mean_square(nominal_error[at, j])),
                 correlation_s=float(autocorrelation_time(e) * step),
                 shares=shares(error[:, j], by, j, at),
+                moves=bool(moves[:, j].any()),
             )
         )
     return tuple(of_joints)

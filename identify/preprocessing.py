@@ -311,7 +311,9 @@ def _segment(
         sensors=sensors,
     )
     fast = (np.abs(motion.dq[inner]) > segment.least_speed).any(axis=0)
-    return stilled(segment, fast | (np.ptp(q, axis=0) > sensors.span))
+    moves = fast | (np.ptp(q, axis=0) > sensors.span)
+    # the spline of a constant is one but for rounding, which has signs
+    return stilled(segment, moves & (np.ptp(recording.q[part], axis=0) > 0))
 
 
 def default_cutoff(recording: Recording) -> float:

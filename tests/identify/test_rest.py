@@ -146,7 +146,7 @@ def test_one_joint_at_a_time_as_in_the_papers_offline_procedure(toggling: bool) 
 
 def test_a_reading_that_toggles_has_no_direction() -> None:
     rng, step, t = np.random.default_rng(0), 2 * np.pi / 2**12, np.arange(0, 20, 1 / 500)
-    readings = 1 + step * (np.cumsum(rng.random((len(t), 3)) < [0.5, 0.02, 0.002], axis=0) % 2)
+    readings = 1 + step * (np.cumsum(rng.random((len(t), 4)) < [0.5, 0.02, 0.002, 0], axis=0) % 2)
     [segment] = prepare(Recording("n", "f.csv", t, readings, np.zeros_like(readings)))
     assert not segment.motion.dq.any()  # held exactly
     creeping = 1.0 + step * np.round(0.3 * t[:, None] / step)
