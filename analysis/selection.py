@@ -309,8 +309,9 @@ def rivals(
     """Causes that could replace a chosen one, by the residual of each (Vuong 1989).
 
     A rival explains at least half of what the cause explains, and leaves it less than half to
-    explain. On joints without nominal friction, the standard model's may be added to it. Or only
-    those ``of_torque``, which are read from that of the model.
+    explain. On joints without nominal friction, the standard model's may be added to it, and finer
+    friction that builds on it is none of it. Or only those ``of_torque``, which are read from that
+    of the model.
     """
     rest = [c for c in chosen if c is not cause]
     keys = {c.key for c in chosen}
@@ -328,6 +329,8 @@ def rivals(
         if of_torque and other.effect.physics.depends_on != "torque":
             continue
         if other.key in keys or _only_more(evidence, cause, other):
+            continue
+        if underlies(robot, [other], cause):
             continue
         # standard friction at the joint of a friction cause, as far as it is missing
         joints = other.effect.joints
