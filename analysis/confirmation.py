@@ -602,10 +602,14 @@ def confirmed(extender: Extender, chosen: Sequence[Candidate]) -> Extension:
     """The fit with the causes that the hold-out confirms, by elimination of the weakest.
 
     Plain friction below finer friction stays, and a cause without which the refit is clearly worse.
+    So does one at joints that rest throughout the hold-out, which says nothing of it.
     """
     holdout = extender.holdout
     fit = extender(chosen)
-    needed = set[Candidate]()
+    moved = {*np.flatnonzero(holdout.series.moves.any(axis=0)).tolist()}
+    needed = {
+        c for c in chosen if moved.isdisjoint(c.effect.affected(holdout.robot))
+    }
     refuted = set[Key]()
     while (worst := _weakest(holdout.robot, fit, needed)) is not None:
         if fit.findings[fit.chosen.index(worst)].refuted:
@@ -754,7 +758,7 @@ def finding_of(
         covariance,
         np.zeros(len(nominal)),
         explained=float(fall.sum() / power.sum()),
-        part=float(fall.sum() / power[joints].sum()),
+        part=float(fall.sum() / max(power[joints].sum(), 1e-300)),
         joint=lead,
         rms_before=holdout.rms_like(without, joints, lead),
         rms_after=holdout.rms_like(error, joints, lead),

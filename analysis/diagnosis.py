@@ -148,7 +148,8 @@ class Diagnosis(Shown):
     @property
     def squares(self) -> float:
         """Squares of that over those of the torque, summed over joints in motion."""
-        return float(np.nansum(self.extended.nrmse**2))
+        moved = self.holdout.series.moves.any(axis=0)
+        return float(np.nansum(self.extended.nrmse[moved] ** 2))
 
     @cached_property
     def simulation(self) -> Accuracy:
@@ -524,7 +525,7 @@ def _causes(
     causes = []
     for finding, candidate in zip(fit.findings, fit.chosen, strict=True):
         changed = finding.effect.values != finding.nominal
-        if changed and not finding.torque.any():
+        if changed and not (finding.torque * holdout.series.moves).any():
             unseen = "nothing of it shows on the hold-out"
             causes.append(replace(finding, downgrade=unseen))
         elif finding.significant:
