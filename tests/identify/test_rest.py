@@ -104,6 +104,12 @@ def test_recordings_in_which_a_joint_rests_spoil_nothing(good, count, toggling):
     assert any("joint2" in note and "left out of the fit" in note for note in found.notes)
 
 
+def test_what_a_hold_out_at_rest_does_not_show_is_undecided() -> None:
+    found = diagnose(ARM.with_effects(()), [run(1)], validate=[run(100, (0,))]).findings
+    verdicts = {f.effect.joints: f.verdict for f in found if f.effect.name == "coulomb_friction"}
+    assert verdicts == {("joint1",): "named", ("joint2",): "undecided"}
+
+
 def test_friction_turns_over_the_speeds_over_which_that_of_the_arm_turns() -> None:
     logs, held = [run(k, turning=0.2) for k in (1, 2)], [run(100, turning=0.2)]
     found, jump = (identify_robot(ARM, logs, validate=held, effects=x) for x in (None, SHARP))
