@@ -478,6 +478,7 @@ class ThermalFrictionDrift(_Friction, JointwiseEffect):
     physics = Physics("motion")
     search = Search(
         shapes=(Shape("time", "s", most=lambda facts: facts.duration),),
+        contains=("viscous_friction", "coulomb_friction"),
         candidates=_warming,
         doubt=_gaining,
     )

@@ -101,7 +101,7 @@ def test_a_delay_is_that_of_friction_too_which_the_model_lacks(diagnosed: Diagno
     assert effects["time_delay"].values == pytest.approx((0.02,), abs=1e-3)
     assert "presliding_hysteresis" not in {f.effect.name for f in found}
     plain = [f for f in found if f.effect.search.standard]
-    built = {"stribeck_friction", "thermal_friction_drift", "load_dependent_friction"}
+    built = {"stribeck_friction", "load_dependent_friction", "presliding_hysteresis"}
     assert not built & {r.candidate.effect.name for f in plain for r in f.rivals}
 
 

@@ -15,8 +15,10 @@ from excitant.robots.effects import EFFECTS
 from excitant.robots.effects.drive import play
 from excitant.robots.effects.friction import bristles
 
-# shapes in which effects are what they contain
-LIMITS = {"nonlinear_viscous_friction": {"exponent": 1.0}}
+LIMITS = {  # shapes in which effects are what they contain
+    "nonlinear_viscous_friction": {"exponent": 1.0},
+    "thermal_friction_drift": {"time": 1e15},
+}
 
 
 def alike(t: np.ndarray, q: np.ndarray | float, dq: np.ndarray | float) -> Motion:
