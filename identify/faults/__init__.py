@@ -87,18 +87,15 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     named twice. All tests together raise a fault in at most one of fifty faultless recordings.
     """
     # a motion so slow may have a clock in another unit
-    poses = shows_poses(recording) and not samples_motion(recording.q)
     faults = (
         tuple(pose_faults(robot, Log.of(robot, recording)))
-        if poses
+        if shows_poses(recording) and not samples_motion(recording.q)
         else _faults(robot, recording)
     )
     read = recording.read
-    if read is None:
-        return faults
     return tuple(
         replace(fault, map=map_of(robot, read, fault.remedies))
-        if fault.repairable
+        if read and fault.repairable
         else fault
         for fault in faults
     )
@@ -186,13 +183,6 @@ def faults_of(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     if recording not in _known or _known[recording][0] is not robot:
         _known[recording] = robot, find_faults(robot, recording)
     return _known[recording][1]
-
-
-def _excited(robot: Robot, recordings: Sequence[Recording]) -> bool:
-    """Whether several recordings together excite what each alone does not."""
-    data = [smooth(Log.of(robot, recording)) for recording in recordings]
-    moving = [each for each in data if each is not None]
-    return len(moving) > 1 and excited_together(robot, moving)
 
 
 def find_copies(recordings: Mapping[str, Recording]) -> dict[str, Fault]:
@@ -364,7 +354,7 @@ def check_recordings(
         for each in exchanged
     ]
     poor = {f for faults in alone for f in faults if f.fault == "poor_excitation"}
-    if poor and _excited(robot, exchanged):
+    if poor and excited_together(robot, exchanged):
         alone = [[f for f in faults if f not in poor] for faults in alone]
     faults = dict[str, tuple[Fault, ...]]()
     notes = list[str]()
@@ -383,17 +373,17 @@ def check_recordings(
                 raise BadRecording(
                     recording.file, fault.detail, row=row, column=column
                 )
-        # what was not read from a file has no columns to name, and was believed
-        from_file = bool(recording.columns)
+        better = recording
+        done: Sequence[str] = ()
         repairable = [f for f in faults[name] if f.fault not in modelled]
-        if not any(fault.repairable for fault in repairable):
-            usable.append(checked(recording) if from_file else recording)
-            continue
-        better, done = repair(recording, repairable)
+        if any(fault.repairable for fault in repairable):
+            better, done = repair(recording, repairable)
         notes += [f"{name}: {sentence}" for sentence in done]
-        usable.append(checked(better) if from_file else better)
-        open_faults = tuple(fault for fault in faults[name] if not fault.repairable)
-        _known[usable[-1]] = robot, open_faults
+        # what was not read from a file has no columns to name, and was believed
+        usable.append(checked(better) if recording.columns else better)
+        if done:
+            still = tuple(f for f in faults[name] if not f.repairable)
+            _known[usable[-1]] = robot, still
     if not repaired:
         return Checked(list(recordings), faults)
     return Checked(usable, faults, tuple(notes), repaired)

@@ -8,6 +8,7 @@ motion has the noise of the differentiated positions.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import product
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from excitant.identify.excitation import ROWS_PER_SECOND, persistency
 from excitant.identify.faults.fault import (
     ALARM,
     DECODED,
+    NO_ROWS,
     Fault,
     Log,
     Mask,
@@ -29,21 +31,19 @@ from excitant.identify.faults.fault import (
     tail_bound,
 )
 from excitant.identify.faults.time import hidden_gaps
-from excitant.identify.faults.torque_fit import Smooth, TorqueFit
+from excitant.identify.faults.torque_fit import Smooth, TorqueFit, smooth
+from excitant.identify.recording import Recording
 from excitant.identify.signals import noise, quantum
 from excitant.robots.effects.sensing import LONGEST_DELAY
-from excitant.robots.motion import Array, Motion, root_mean_square, together
+from excitant.robots.motion import Array, root_mean_square, together
 from excitant.robots.robot import Robot
 
-_NONE: Rows = np.zeros(0, np.intp)
-_WORTH = (
-    0.1  # of the prior's information: less makes nothing more certain by even 5 %
-)
+_WORTH = 0.1
+"""Of the prior's information: less makes nothing more certain by even 5 %."""
 _OUTLIER = np.array([1 / 6, -2 / 3, 1.0, -2 / 3, 1 / 6])
 """Distances from the cubic through the four neighbours, around one outlier."""
-_AT_EXTREME = (
-    5  # samples at an extreme value, from which on a channel may be cut off
-)
+_AT_EXTREME = 5
+"""Samples at an extreme value, from which on a channel may be cut off."""
 _MOST_JOINTS = 0.5  # of the joints: one that bears mainly weight proves nothing
 _EXPLAINED = 0.5  # of the variance of a torque's noise: it is that of the motion
 _MOST_JUMPS = 0.2  # of the samples, of a channel that wraps
@@ -65,10 +65,8 @@ def dead_channels(log: Log) -> Iterator[Fault]:
 
 def _constant(log: Log, name: str, x: Array, j: int) -> str | None:
     """A channel with one value, of which a position or velocity counts where the other moves."""
-    moves = log.moving[:, j].any()
-    if np.ptp(x) > 0 or (name != "q" and not moves):
+    if np.ptp(x) > 0 or (name != "q" and not log.moving[:, j].any()):
         return None
-    against = ""
     if name == "q":
         speed = np.zeros(1) if log.dq is None else log.dq[:, j]
         if np.ptp(speed) == 0 or np.abs(speed).mean() < 5 * noise(speed):
@@ -87,7 +85,7 @@ def _white(log: Log, name: str, x: Array, j: int) -> str | None:
         return None
     means = x[: rows * blocks].reshape(blocks, rows).mean(axis=1)
     ratio = rows * means.var(ddof=1) / x.var()
-    bound = float(scipy.special.chdtri(blocks - 1, ALARM / log.nv)) / (blocks - 1)
+    bound = scipy.special.chdtri(blocks - 1, ALARM / log.nv) / (blocks - 1)
     if ratio > bound:
         return None
     return (
@@ -99,16 +97,16 @@ def _white(log: Log, name: str, x: Array, j: int) -> str | None:
 def _stretch(log: Log, name: str, x: Array, j: int) -> str | None:
     """The longest run of one value, if the channel never else keeps a value that long."""
     starts, lengths = run_lengths(np.diff(x) == 0)
-    length = int(lengths.max(initial=0))
+    length = lengths.max(initial=0)
     if length < 10 or length <= tail_bound(lengths, ALARM / log.nv):
         return None
-    start = int(starts[np.argmax(lengths)])
+    start = starts[np.argmax(lengths)]
     rows = slice(start, start + length + 1)
-    seconds = float(np.ptp(log.t[rows]))
+    seconds = np.ptp(log.t[rows])
     if seconds < 0.1:
         return None  # so short a repetition is a sample that was held
     way = float(np.ptp(log.q[rows, j]))
-    clear = float(20 * log.grain[j])
+    clear = 20 * log.grain[j]
     if name == "q":
         if log.dq is None:
             return None
@@ -138,17 +136,17 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
     for j, sign in product(range(log.nv), (1.0, -1.0)):
         moved = log.moving[:, j]
         x = sign * log.tau[:, j]
-        top = float(x.max())
-        step = float(log.quanta["tau"][j])
-        span = float(np.ptp(x))
-        scatter = float(scatters[j])
+        top = x.max()
+        step = log.quanta["tau"][j]
+        span = np.ptp(x)
+        scatter = scatters[j]
         band = max(4 * step, 3 * scatter, 1e-6 * span)  # below the extreme value
         at = moved & (x > top - min(step / 2, 1e-9 * span))
-        near = int((moved & ~at & (x > top - band)).sum())
-        count = int(at.sum())
+        near = (moved & ~at & (x > top - band)).sum()
+        count = at.sum()
         value = sign * top
         many = count >= _AT_EXTREME and 0 < band < span / 2
-        chance = float(scipy.special.pdtrc(count - 1, near + 1)) if many else 1.0
+        chance = scipy.special.pdtrc(count - 1, near + 1) if many else 1.0
         evidence: dict[str, object] = {"channel": "tau"}
         if chance <= ALARM / (2 * log.nv):
             where = f"at its {'largest' if sign > 0 else 'smallest'} value"
@@ -156,8 +154,7 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
         else:
             limit = float(robot.limits.torque[j])
             at = np.abs(x - limit) < 2 * scatter
-            limited = np.isfinite(limit) and scatter <= 0.05 * limit
-            if not (kept and limited):
+            if not (kept and np.isfinite(limit) and scatter <= 0.05 * limit):
                 continue
             if run_lengths(at)[1].max(initial=0) < _AT_EXTREME:
                 continue
@@ -166,12 +163,11 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
             where = "within its noise of the limit"
             more = ""
             value = sign * limit
-            count = int(at.sum())
             evidence["limit"] = limit
         joint = log.joints[j]
-        longest = int(run_lengths(at)[1].max())
+        longest = run_lengths(at)[1].max()
         detail = (
-            f"tau of {joint} is {where} {value:.6g} {log.unit} in {count} of "
+            f"tau of {joint} is {where} {value:.6g} {log.unit} in {at.sum()} of "
             f"{len(log)} rows, up to {longest} in a row{more}"
         )
         yield Fault("saturation", (joint,), detail, evidence)
@@ -197,12 +193,12 @@ def torque_without_sign(log: Log) -> Iterator[Fault]:
 def _passes(x: Array, near: Mask, scatter: float) -> bool:
     """Whether values slope or bend beyond noise over the longest run near a limit."""
     starts, lengths = run_lengths(near)
-    longest = int(np.argmax(lengths))
+    longest = np.argmax(lengths)
     rows = slice(starts[longest], starts[longest] + lengths[longest])
     place = np.linspace(-1, 1, lengths[longest])
     shapes = np.polynomial.legendre.legvander(place, 2)[:, 1:]
     explained = np.linalg.qr(shapes)[0].T @ x[rows] / scatter
-    return float(explained @ explained) > float(scipy.special.chdtri(2, ALARM))
+    return bool(explained @ explained > scipy.special.chdtri(2, ALARM))
 
 
 def held_channels(log: Log) -> Iterator[Fault]:
@@ -211,14 +207,13 @@ def held_channels(log: Log) -> Iterator[Fault]:
         # held positions look as noisy as they move
         moving = log.travel != 0 if name == "q" else log.moving
         columns = zip(x.T, moving.T, log.quanta[name], strict=True)
-        shares = [_held_share(*column) for column in columns]
-        held = {j: share for j, share in enumerate(shares) if share > 0}
-        if not held:
+        shares = np.array([_held_share(*column) for column in columns])
+        if not shares.any():
             continue
-        worst = max(held, key=lambda j: held[j])
-        joints = log.names(held)
+        worst = np.argmax(shares)
+        joints = log.names(np.flatnonzero(shares))
         detail = (
-            f"{name} of {', '.join(joints)} is held: {100 * held[worst]:.1f} % of its samples "
+            f"{name} of {', '.join(joints)} is held: {100 * shares[worst]:.1f} % of its samples "
             f"at {log.joints[worst]} repeat the one before exactly while the joint moves, "
             f"though the others change by many steps of its resolution"
         )
@@ -235,8 +230,8 @@ def _held_share(x: Array, moving: Mask, step: float) -> float:
     fresh = change[change > 0]
     if len(change) < 50 or len(fresh) < 25:
         return 0.0
-    small = 0.2 * float(np.median(fresh))
-    few = int((fresh <= small).sum())
+    small = 0.2 * np.median(fresh)
+    few = (fresh <= small).sum()
     if few < 5:
         return 0.0  # coarse steps: no change is as good as a small one
     # a torque that friction rules stays for a while too, between small changes or few large ones
@@ -244,7 +239,7 @@ def _held_share(x: Array, moving: Mask, step: float) -> float:
     ends = starts + lengths
     inner = (starts > 0) & (ends < len(change))
     large = change > max(small, 4 * step)
-    held = int((large[starts[inner] - 1] & large[ends[inner]]).sum())
+    held = (large[starts[inner] - 1] & large[ends[inner]]).sum()
     excess = held - few - 5 * np.sqrt(held + few)
     beyond = excess > 0 and held > 0.02 * len(change)
     return 1 - len(fresh) / len(change) if beyond else 0.0
@@ -273,7 +268,7 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
         for j, (x, code) in enumerate(zip(columns, codes, strict=True)):
             if code is None and name != "q":
                 size = shown.size * steps[j] / shown_step
-                alike = _Code(shown.action, size, _NONE)
+                alike = _Code(shown.action, size, NO_ROWS)
                 way = np.sign(size)
                 coded = (way * x).min() >= 0 and (way * alike.decode(x)).min() < 0
                 code = alike if coded else None
@@ -286,7 +281,7 @@ def _coded(log: Log, name: str, j: int, code: _Code) -> Fault:
     x = np.copysign(1, code.size) * getattr(log, name)[:, j]
     size = abs(code.size)
     jumps = int((np.abs(np.diff(x)) > size / 2).sum())
-    high = int((x > x.min() + size / 2).sum()) if jumps else len(x)
+    high = (x > x.min() + size / 2).sum() if jumps else len(x)
     way = f"jumps {jumps} times by" if jumps else "is beyond"
     share = f"{high} of {len(log)} values"
     what, done = {
@@ -338,10 +333,9 @@ def _turns(x: Array) -> _Code | None:
         jumps = change > turn / 2
         if not jumps.any() or jumps.mean() > _MOST_JUMPS:
             continue
-        usual = float(np.quantile(change[~jumps], 0.99))
-        off = abs(float(np.median(change[jumps])) - turn)
-        if usual < turn / 8 and off < turn / 4:
-            return _Code("unwrap", turn, _NONE)
+        usual = np.quantile(change[~jumps], 0.99)
+        if usual < turn / 8 and abs(np.median(change[jumps]) - turn) < turn / 4:
+            return _Code("unwrap", turn, NO_ROWS)
     return None
 
 
@@ -360,7 +354,7 @@ def _unsigned(x: Array) -> _Code | None:
     passing = 1 + np.flatnonzero(onward)
     kept = np.delete(x, passing)
     step = quantum(kept)
-    highest = float(kept.max())
+    highest = kept.max()
     if kept.min() < 0 or highest < _FEW_STEPS * step or step == 0:
         return None
     bit = step * 2.0 ** np.floor(np.log2(highest / step) + 1e-9)
@@ -397,7 +391,7 @@ def jumps_and_outliers(log: Log) -> Iterator[Fault]:
     """Rows that are missing unseen, single values or short bursts far off, positions that jump."""
     hidden = list(hidden_gaps(log))
     yield from hidden
-    far = _outlying(log, hidden[0].evidence["rows"] if hidden else None)
+    far = _outlying(log, hidden[0].evidence["rows"] if hidden else NO_ROWS)
     count = sum(mask.sum(axis=1) for mask in far.values())
     whole = np.flatnonzero(count > 0.5 * log.nv * len(far))
     if len(whole):
@@ -415,15 +409,14 @@ def jumps_and_outliers(log: Log) -> Iterator[Fault]:
         for j in np.flatnonzero(far[name].any(axis=0)):
             rows = np.flatnonzero(far[name][:, j])
             joint = log.joints[j]
-            k = int(rows[np.argmax(np.abs(x - smooth)[rows, j])])
-            value = float(x[k, j])
-            around = float(smooth[k, j])
-            size = abs(value - around)
-            least = max(noise(x[:, j]), float(log.quanta[name][j]))
+            away = np.abs(x - smooth)[rows, j]
+            k = rows[np.argmax(away)]
+            size = away.max()
+            least = max(noise(x[:, j]), log.quanta[name][j])
             times = f", {size / least:.0f} times the noise" if least > 0 else ""
             detail = (
                 f"{name} of {joint} is far from its neighbours in {len(rows)} of {len(log)} rows; "
-                f"worst row {k} at t = {log.t[k]:.4g} s: {value:.5g}, which is {size:.4g} from "
+                f"worst row {k} at t = {log.t[k]:.4g} s: {x[k, j]:.5g}, which is {size:.4g} from "
                 f"those around{times}"
             )
             evidence = {"channel": name, "rows": rows}
@@ -434,7 +427,7 @@ def jumps_and_outliers(log: Log) -> Iterator[Fault]:
             )
 
 
-def _outlying(log: Log, jumps: Rows | None) -> dict[str, Mask]:
+def _outlying(log: Log, jumps: Rows) -> dict[str, Mask]:
     """Values that cannot be, by channel, each (n, nv); none around rows before missing ones.
 
     r is the distance of a value from the cubic through its four neighbours, over its local scale.
@@ -443,21 +436,20 @@ def _outlying(log: Log, jumps: Rows | None) -> dict[str, Mask]:
     its way per sample), a velocity that the positions confirm, or a jolt of several joints at once.
     """
     r = {name: _distance(log.t, x) for name, x in log.channels()}
-    if jumps is not None:
-        around = np.clip(
-            np.asarray(jumps)[:, None] + np.arange(-2, 4), 0, len(log) - 1
-        )
-        for values in r.values():
-            values[around] = 0.0
+    around = np.clip(jumps[:, None] + np.arange(-2, 4), 0, len(log) - 1)
+    for values in r.values():
+        values[around] = 0.0
     alarm = ALARM / (log.nv * len(r))
     far = dict[str, Mask]()
     for name, x in log.channels():
-        far[name] = _far(x, r[name], log.quanta[name], alarm, name != "tau")
-        if name == "q":
-            # a joint at rest has no grain
-            far[name] &= _impossible(log, r[name]) & log.moving.any(axis=0)
-        else:
-            far[name] &= _apart(x, r[name])
+        # a joint at rest has no grain
+        cannot_be = (
+            _impossible(log, r[name]) & log.moving.any(axis=0)
+            if name == "q"
+            else _apart(x, r[name])
+        )
+        beyond = _far(x, r[name], log.quanta[name], alarm, name != "tau")
+        far[name] = beyond & cannot_be
     far["tau"] &= ~_by_friction(log)
     if log.dq is not None:
         jolts = _jolts(log, log.dq, r["dq"], far)
@@ -476,8 +468,7 @@ def _apart(x: Array, r: Array) -> Mask:
     apart = np.abs(x - _running_median(x, _MEDIAN_ROWS)) > 0.5 * np.abs(r)
     step = np.abs(np.diff(x, axis=0))
     slope = np.minimum(step[1:], step[:-1])
-    beside = np.maximum(slope[:-4], slope[4:])
-    apart[3:-3] &= np.abs(r[3:-3]) > beside
+    apart[3:-3] &= np.abs(r[3:-3]) > np.maximum(slope[:-4], slope[4:])
     apart[2:-2] &= (x[2:-2] - x[:-4]) * (x[2:-2] - x[4:]) > 0
     lines = 2 * x[1:-3] - x[:-4], 2 * x[3:-1] - x[4:]
     off = np.minimum(*(np.abs(x[2:-2] - line) for line in lines))
@@ -542,8 +533,7 @@ def _far(x: Array, r: Array, step: Array, alarm: float, alike: bool) -> Mask:
     z = size / np.maximum(usual, 1e-12 * np.where(span > 0, span, 1.0))
     bound = [tail_bound(column[column > 0], alarm) for column in z.T]
     # rounding of a log in single precision
-    single = float(np.finfo(np.float32).eps)
-    floor = np.maximum(step, single * np.abs(x).max(axis=0))
+    floor = np.maximum(step, np.finfo(np.float32).eps * np.abs(x).max(axis=0))
     if alike and typical.any():
         floor = np.maximum(floor, typical[typical > 0].min())
     return (z > bound) & (size > 3 * floor)
@@ -566,8 +556,6 @@ def _distance(t: Array, x: Array) -> Array:
     """Distance of each value from the cubic through two neighbours on either side, (n, nv)."""
     n = len(t)
     r = np.zeros_like(x)
-    if n < 11:
-        return r
     k = np.arange(2, n - 2)
     around = [k - 2, k - 1, k + 1, k + 2]
     cubic = np.zeros_like(x[k])
@@ -590,7 +578,7 @@ def not_measured(case: TorqueFit) -> Iterator[Fault]:
     missed = np.sqrt(case.power) / np.maximum(case.tau.std(axis=0), 1e-100)
     # no drive is known to a hundredth of its torque, or as free of noise as to a thousandth
     ideal = {
-        j: float(missed[j])
+        j: missed[j]
         for j in case.joints
         if missed[j] < 0.01 and _own_noise(log.tau[:, j]) < 1e-3 * span[j]
     }
@@ -623,7 +611,7 @@ def _own_noise(x: Array) -> float:
         / np.sqrt(scipy.special.comb(2 * k, k))
         for k in (4, 6, 8)
     ]
-    return max(0.0, float(min(differences)) - quantum(x) / float(np.sqrt(12)))
+    return float(max(0.0, min(differences) - quantum(x) / np.sqrt(12)))
 
 
 def _derived(log: Log, joints: Sequence[int]) -> dict[int, float]:
@@ -632,8 +620,8 @@ def _derived(log: Log, joints: Sequence[int]) -> dict[int, float]:
     if log.dq is not None:
         accelerations.append(np.gradient(log.dq, log.t, axis=0))
     gaps = np.append(np.diff(log.t) > 1.5 * log.step, False)
-    reach = 6  # rows of two gradients and four differences
-    near = scipy.ndimage.binary_dilation(gaps, np.ones(2 * reach + 1, bool))
+    # six rows of two gradients and four differences on either side
+    near = scipy.ndimage.binary_dilation(gaps, np.ones(13, bool))
     regular = ~near[2 : len(log.t) - 2]
     rough = np.diff(np.column_stack(accelerations), 4, axis=0)[regular]
     if not len(rough):
@@ -646,7 +634,7 @@ def _derived(log: Log, joints: Sequence[int]) -> dict[int, float]:
         if len(y) < 20 * rough.shape[1] or not y.any():
             continue
         residual = y - rough @ np.linalg.lstsq(rough, y, rcond=None)[0]
-        share = 1 - float((residual**2).sum() / (y**2).sum())
+        share = 1 - (residual**2).sum() / (y**2).sum()
         if share > _EXPLAINED:
             shares[j] = share
     return shares
@@ -665,12 +653,11 @@ def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Iterator[Fau
         window = persistency(robot, data.motion)
     except ExcitantError:
         return  # the arm has no inertia to compare with
-    missing = int((window.levels < _WORTH).sum())
+    missing = (window.levels < _WORTH).sum()
     if not missing:
         return
     lacking = tuple(j for j in log.joints if j in window.joints)
-    resting = log.names(np.flatnonzero(still))
-    names = lacking or resting or log.joints
+    names = lacking or log.names(np.flatnonzero(still)) or log.joints
     detail = (
         f"says less than {_WORTH:g} of what the given model does on {missing} of "
         f"{len(window.levels)} directions of the parameters, least on "
@@ -679,13 +666,17 @@ def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Iterator[Fau
     yield Fault("poor_excitation", names, detail, {})
 
 
-def excited_together(robot: Robot, data: Sequence[Smooth]) -> bool:
-    """Whether several motions together show what one of them alone does not."""
+def excited_together(robot: Robot, recordings: Sequence[Recording]) -> bool:
+    """Whether several recordings together excite what each alone does not."""
     step = 1 / (2 * ROWS_PER_SECOND)
     parts = []
-    for motion in (each.motion for each in data):
-        instants = np.arange(motion.t[0], motion.t[-1], step)
-        parts.append(motion[np.searchsorted(motion.t, instants)])
+    for recording in recordings:
+        if data := smooth(Log.of(robot, recording)):
+            t = data.motion.t
+            instants = np.arange(t[0], t[-1], step)
+            parts.append(data.motion[np.searchsorted(t, instants)])
+    if len(parts) < 2:
+        return False
     every = together(parts)
-    whole = Motion(step * every.t, every.q, every.dq, every.ddq)
+    whole = replace(every, t=step * every.t)
     return bool((persistency(robot, whole).levels >= _WORTH).all())

@@ -61,6 +61,7 @@ NO_TORQUE = "dead_channel", "tau"
 ALARM = 0.02 / 20
 """Share of faultless recordings that one family of tests may accuse; there are fewer than 20."""
 Rows = npt.NDArray[np.intp]
+NO_ROWS: Rows = np.zeros(0, np.intp)
 Mask = npt.NDArray[np.bool_]
 _SPAN = 4  # samples to either side of the one whose speed is asked
 _SHOWN = 10  # of many rows, in results
@@ -147,10 +148,9 @@ class Remedy:
     action: str
     channel: str = ""  # t, q, dq or tau; empty for whole rows
     joints: tuple[int, ...] = ()
-    rows: Rows = field(default_factory=lambda: np.zeros(0, np.intp))
-    factor: float = (
-        1.0  # of values; or the range of the counter, what is added or advanced [s]
-    )
+    rows: Rows = field(default_factory=lambda: NO_ROWS)
+    # of values; or the range of the counter, what is added or advanced [s]
+    factor: float = 1.0
 
     def on_columns(self, x: Array) -> Array:
         """Columns of the joints, shape (N, nv), put in order, added, scaled or moved as it says."""
@@ -343,7 +343,6 @@ def normal_bound(tests: int) -> float:
 
 def run_lengths(same: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Starts and lengths of the runs of True in a boolean array."""
-    edges = np.diff(np.concatenate([[0], same.astype(np.int8), [0]]))
+    edges = np.diff(np.pad(same.astype(np.int8), 1))
     starts = np.flatnonzero(edges == 1)
-    ends = np.flatnonzero(edges == -1)
-    return starts, ends - starts
+    return starts, np.flatnonzero(edges == -1) - starts

@@ -108,7 +108,7 @@ class Search:
 
 
 SEARCH = Search()
-ANY_VALUE = 2 * float(np.log(SEARCH.scales))
+ANY_VALUE = 2 * np.log(SEARCH.scales)
 """Twice the log of the values that an angle or a factor may as well have, if any will do."""
 _SERVOS = (360.0, 300.0, 270.0, 180.0)
 """Ranges [°] that the positions of servos count through."""
@@ -127,6 +127,12 @@ class Installation:
 
     faults: tuple[Fault, ...] = ()
     price: float = 0.0
+
+    @property
+    def evidence(self) -> dict[str, Any]:
+        """Evidence of its faults by name; of several, that of the first."""
+        several = [fault.evidence for fault in reversed(self.faults)]
+        return {name: value for each in several for name, value in each.items()}
 
     @property
     def remedies(self) -> list[Remedy]:
@@ -154,7 +160,7 @@ class Installation:
         """The fit of a log's torque in this installation."""
         if not self.faults:
             return case
-        unscaled = {
+        unscaled = case.unscaled | {
             case.log.joints.index(joint)
             for fault in self.faults
             if fault.fault == "wrong_unit" and not fault.remedies
@@ -162,17 +168,13 @@ class Installation:
         }
         data = self.read(case.data)
         robot = self.robot(case.robot)
-        joints = frozenset(unscaled) | case.unscaled
         # what was taken off is known no better than the bodies
         weighed = None if robot.gravity.any() else case.robot
-        return TorqueFit(robot, case.log, data, case.joints, joints, weighed)
+        return TorqueFit(robot, case.log, data, case.joints, unscaled, weighed)
 
     def read(self, data: Smooth) -> Smooth:
         """A log as it reads it."""
-        since = next(
-            (f.evidence["since"] for f in self.faults if "since" in f.evidence),
-            data.since,
-        )
+        since = self.evidence.get("since", data.since)
         return data.remedied(self.remedies)._replace(since=since)
 
     def joined(self, other: Installation) -> Installation:
@@ -190,7 +192,7 @@ class _Judged(NamedTuple):
 
 def _is_right(fault: Fault) -> bool:
     """Whether an offset, if it is one, is a multiple of a right angle."""
-    return bool(fault.evidence.get("offset", 0.0) % SEARCH.right == 0.0)
+    return not fault.evidence.get("offset", 0.0) % SEARCH.right
 
 
 def odds_against(robot: Robot) -> float:
@@ -222,11 +224,11 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
         stands, *same = _judge(case, [Installation(), *likely])
         simplest, *reason = _simplest(stands, same, case)
         # no other is told where a load is as likely
-        if any("load" in fault.evidence for fault in simplest.installation.faults):
+        if "load" in simplest.installation.evidence:
             break
         best = simplest.installation
         reasons[len(best.faults) - 1] = reason
-        if simplest.squares < float(case.rows.sum()):
+        if simplest.squares < case.rows.sum():
             break
     if not best.faults or not _throughout(case, best):
         return beyond + doubts
@@ -303,7 +305,7 @@ def _polished(case: TorqueFit, installation: Installation) -> Installation:
     x, least, covariance = _newton(squares, ways.shape[1])
     if not np.isfinite(covariance).all():
         return installation
-    covariance = covariance * max(1.0, least / float(start.rows.sum()))
+    covariance = covariance * max(1.0, least / start.rows.sum())
     std = np.sqrt(np.diag(ways @ covariance @ ways.T))
     right = [f.fault == "wrong_zero" and _is_right(f) for f in faults]
     fixed = np.repeat(right, [len(some) for some in each])
@@ -322,8 +324,9 @@ def _newton(
     least = squares(x)
     covariance = np.full((size, size), np.inf)
     for _ in range(SEARCH.polished):
-        ahead = np.array([squares(x + move) for move in moves])
-        behind = np.array([squares(x - move) for move in moves])
+        ahead, behind = (
+            np.array([squares(x + move) for move in way]) for way in (moves, -moves)
+        )
         curvature = np.diag(ahead + behind - 2 * least)
         for i, k in itertools.combinations(range(size), 2):
             both = squares(x + moves[i] + moves[k])
@@ -360,9 +363,7 @@ def _ways(case: TorqueFit, fault: Fault) -> Array:
     return np.ones((values, values))
 
 
-def _moved(
-    case: TorqueFit, fault: Fault, step: Array, std: Array | None = None
-) -> Fault:
+def _moved(case: TorqueFit, fault: Fault, step: Array, std: Array | None) -> Fault:
     """A fault whose gravity, offset [rad] or delay [s] changes by a step, and is known to a std."""
     name, told = _OF_VALUES.get(fault.fault, ("", None))
     # no gravity has no direction
@@ -380,8 +381,7 @@ def _throughout(case: TorqueFit, installation: Installation) -> bool:
         part = torque_fit(case.robot, log, smooth(log), dead)
         if part:
             stands, judged = _judge(part, [Installation(), installation])
-            allowed = stands.squares + SEARCH.fits * float(part.rows.sum())
-            if judged.squares > allowed:
+            if judged.squares > stands.squares + SEARCH.fits * part.rows.sum():
                 return False
     return True
 
@@ -399,10 +399,9 @@ def _likelier(
     small everywhere: a factor of it that is not known leaves one per row.
     """
     theirs, mine = _judge(case, [other, installation])
-    told = [fault.evidence for fault in installation.faults]
-    share = SEARCH.fits if any("since" in each for each in told) else SEARCH.halved
-    fits = 1.0 if any("small" in each for each in told) else SEARCH.fits
-    allowed = max(share * theirs.squares, fits * float(case.rows.sum()))
+    share = SEARCH.fits if "since" in installation.evidence else SEARCH.halved
+    fits = 1.0 if "small" in installation.evidence else SEARCH.fits
+    allowed = max(share * theirs.squares, fits * case.rows.sum())
     likelier = mine.odds > theirs.odds + least and mine.squares <= allowed
     return mine if likelier else None
 
@@ -418,7 +417,7 @@ def _judge(case: TorqueFit, installations: Sequence[Installation]) -> list[_Judg
 
 def _evidence(
     case: TorqueFit, fits: Sequence[TorqueFit]
-) -> list[tuple[float, float]]:
+) -> Iterator[tuple[float, float]]:
     """Twice the log evidence of fits against that of the log as it stands, and their squares.
 
     As it stands any one of the links may be another body: that needs no other installation. Errors
@@ -431,17 +430,14 @@ def _evidence(
         noise = np.minimum(noise, power[np.argsort(fit.data.recorded)])
     links = [case.surprise(noise, case.rows, link) for link in range(nv)]
     squares, surprises = zip(*links, strict=True)
-    rows = float(case.rows.sum())
-    evidence = []
+    rows = case.rows.sum()
     for fit in fits:
         if fit is case:
-            evidence.append((0.0, min(squares)))
+            yield 0.0, min(squares)
             continue
         order = fit.data.recorded
         left, surprise = fit.surprise(noise[order], case.rows[order], nv - 1)
-        gain = (min(surprises) - surprise) / max(1.0, left / rows)
-        evidence.append((gain, left))
-    return evidence
+        yield (min(surprises) - surprise) / max(1.0, left / rows), left
 
 
 def _simplest(
@@ -452,7 +448,7 @@ def _simplest(
     Few faults come before many, then as in `FAULTS`, right angles before others, and joints from
     the base: all recordings of an arm name the same one.
     """
-    rows = float(case.rows.sum())
+    rows = case.rows.sum()
     least_odds = max(each.odds for each in likely) - SEARCH.alike
     same = [each for each in likely if each.odds >= least_odds]
     least = min(each.squares for each in same)
@@ -474,12 +470,12 @@ def _simplest(
         faults = other.installation.faults
         details = " and ".join(fault.detail for fault in faults)
         alike.setdefault(_kinds(faults), details)
-    alike.pop(_kinds(best.installation.faults), None)
+    kinds = _kinds(best.installation.faults)
+    alike.pop(kinds, None)
     if alike:
         because += (
             f"; the torque would be the same if {' or if '.join(alike.values())}"
         )
-    kinds = _kinds(best.installation.faults)
     told = {kind[:2] for kind in kinds}
     others_kinds = [*itertools.chain(*alike)]
     rivals = [x[:2] for x in others_kinds if x[:2] not in told]
@@ -506,8 +502,8 @@ def pose_faults(robot: Robot, log: Log) -> Iterator[Fault]:
     model = rigid_body_torque(robot, Motion(log.t, log.q, still, still))
     for j in np.flatnonzero(np.ptp(model, axis=0) > 0):
         x, y = (every[:, j] - every[:, j].mean() for every in (model, log.tau))
-        factor = float(x @ y / (x @ x))
-        share = factor * float(x @ y) / max(float(y @ y), 1e-300)
+        factor = x @ y / (x @ x)
+        share = factor * (x @ y) / max(y @ y, 1e-300)
         unexplained = max(1 - share, 0.0)
         # of a correlation as large, of normal values
         chance = scipy.special.betainc((len(log) - 2) / 2, 0.5, unexplained)
@@ -556,7 +552,7 @@ def swapped(robot: Robot, recordings: Sequence[Recording]) -> list[tuple[int, in
         for pair in itertools.combinations(range(len(logs)), 2)
         if kinds[pair[0]] == kinds[pair[1]]
     ]
-    odds = 2 * float(np.log(max(len(pairs), 1) / SEARCH.rare))
+    odds = 2 * np.log(max(len(pairs), 1) / SEARCH.rare)
     exchanged = list[tuple[int, int]]()
     for i, k in pairs:
         if {i, k} & {*itertools.chain(*exchanged)}:
@@ -576,8 +572,7 @@ def _with_torque_of(robot: Robot, log: Log, other: Log) -> float:
     if case is None or moved is None:
         return -np.inf
     exchanged = replace(case, data=moved)
-    change = _unlikeness(exchanged) - _unlikeness(case)
-    if change > np.log(SEARCH.halved):
+    if _unlikeness(exchanged) - _unlikeness(case) > np.log(SEARCH.halved):
         return -np.inf
     [(gain, _)] = _evidence(case, [exchanged])
     return gain
@@ -597,7 +592,7 @@ def _moves(fit: TorqueFit) -> Iterator[Installation]:
         return
     rows = np.maximum(fit.rows, 1.0)
     squares, _ = fit.surprise(0 * fit.power, rows, fit.robot.nv - 1)
-    if squares < SEARCH.fits * float(rows.sum()):
+    if squares < SEARCH.fits * rows.sum():
         return
     yield from _in_degrees(fit)
     yield _backwards(fit)
@@ -610,7 +605,7 @@ def _moves(fit: TorqueFit) -> Iterator[Installation]:
         return
     yield from _nearest(fit, [*_orders(fit), *_couplings(fit)])
     yield from _from_zero(fit)
-    if squares > float(rows.sum()):
+    if squares > rows.sum():
         yield from _nearest(fit, _two_zeros(fit))
     yield from _frames(fit)
     yield from _of_limits(fit)
@@ -679,7 +674,7 @@ def _of_sums(
         robots: m of them.
         weights: Function of the values, (d,), shape (m,).
     """
-    data = fit.data.remedied(Installation(tuple(faults)).remedies)
+    data = Installation(tuple(faults)).read(fit.data)
     torques = [rigid_body_torque(robot, data.motion) for robot in robots]
     products = _products(data, torques)
 
@@ -752,23 +747,23 @@ def _orders(fit: TorqueFit) -> Iterator[Installation]:
 def _signs(fit: TorqueFit) -> Iterator[Installation]:
     """Each joint that counts or measures torque the other way, two torques, or all."""
     several = itertools.combinations(fit.joints, 2)
-    more = 2 * float(np.log(fit.robot.nv))
-    pairs = (
-        _one(fit, _sign(fit.log, pair, ("tau",)), more=more) for pair in several
-    )
+    more = 2 * np.log(fit.robot.nv)
+    pairs = (_one(fit, _sign(fit, pair), more=more) for pair in several)
     yield from _nearest(fit, pairs)
     if len(fit.joints) > 2:
-        yield _one(fit, _sign(fit.log, fit.joints, ("tau",)))
+        yield _one(fit, _sign(fit, fit.joints))
     for j in fit.joints:
         moves = fit.log.moving[:, j].any()
         for channels in (("q", "dq"), ("tau",), ("q", "dq", "tau")):
             if moves or "q" not in channels:
-                yield _one(fit, _sign(fit.log, [j], channels))
+                yield _one(fit, _sign(fit, [j], channels))
 
 
-def _sign(log: Log, joints: Sequence[int], channels: Sequence[str]) -> Fault:
+def _sign(
+    fit: TorqueFit, joints: Sequence[int], channels: Sequence[str] = ("tau",)
+) -> Fault:
     what = " and ".join(name for name in channels if name != "dq")
-    names = log.names(joints)
+    names = fit.log.names(joints)
     listed = ", ".join(names)
     return Fault(
         "wrong_sign",
@@ -791,10 +786,9 @@ def _couplings(fit: TorqueFit) -> Iterator[Installation]:
     turns = fit.robot.revolute
     bodies = rigid_body_torque(fit.robot, fit.data.motion).std(axis=0)
     tells = bodies > MODEL_ERROR * fit.data.tau.std(axis=0)
-    pairs = itertools.permutations(range(fit.robot.nv), 2)
     neighbours = [
         (j, k)
-        for j, k in pairs
+        for j, k in itertools.permutations(range(fit.robot.nv), 2)
         if abs(j - k) == 1 and turns[j] == turns[k] and (tells[j] or tells[k])
     ]
     choices = itertools.product(neighbours, (1.0, -1.0), (True, False))
@@ -928,7 +922,7 @@ def inertias_beyond_size(robot: Robot) -> Iterator[Fault]:
     trace = bodies[:, [4, 6, 9]].sum(axis=1)
     square = trace / (2 * bodies[:, 0]) - com**2
     radius = np.sqrt(np.maximum(square, 0.0))
-    reach = max(sum(spans(robot)) + float(com.max(initial=0.0)), SEARCH.least_reach)
+    reach = max(sum(spans(robot)) + com.max(initial=0.0), SEARCH.least_reach)
     wide = radius > SEARCH.widest * reach
     if not wide.any():
         return
@@ -955,8 +949,8 @@ def positions_beyond_limits(robot: Robot, q: Array) -> Iterator[Fault]:
         return
     low, high = robot.limits.position.T
     names = tuple(joints[j] for j in beyond)
-    worst = int(np.argmax(reach))
-    largest = float(np.abs(q[:, worst]).max())
+    worst = np.argmax(reach)
+    largest = np.abs(q[:, worst]).max()
     detail = (
         f"q of {', '.join(names)} leaves the joints' limits by more than "
         f"{'a turn' if robot.revolute[worst] else 'their range'}: {joints[worst]} reaches "
@@ -977,7 +971,7 @@ def _torque_beyond_limits(case: TorqueFit, registers: bool) -> Iterator[Fault]:
     limited = np.isfinite(limit)
     if log.unit != "N·m" or not limited.any():
         return
-    typical = float(np.median((peak / limit)[limited]))
+    typical = np.median((peak / limit)[limited])
     if typical <= SEARCH.far:
         return
     # after the repair torques stay below three times what they should be
@@ -1007,8 +1001,7 @@ def _torque_beyond_limits(case: TorqueFit, registers: bool) -> Iterator[Fault]:
 def _is_unit(fit: TorqueFit, factors: Array) -> bool:
     """Whether factors, (k,), bring the torque near that of nominal bodies where it tells one."""
     gains, std = fit.gains
-    clear = std < SEARCH.clear_scale
-    off = np.abs(np.log(gains / factors))[clear]
+    off = np.abs(np.log(gains / factors))[std < SEARCH.clear_scale]
     return len(off) > 0 and bool(np.median(off) < np.log(SEARCH.least_scale))
 
 
@@ -1053,13 +1046,12 @@ def _scales(fit: TorqueFit) -> Iterator[Installation]:
     if not len(some):
         return
     # a load makes the torque of bodies, however large
-    larger = (gains[some] > 1).all()
-    loaded = larger and (fit.left[some] < SEARCH.explained).all()
+    loaded = (gains[some] > 1).all() and (fit.left[some] < SEARCH.explained).all()
     joints = np.array(fit.joints)
     # joints whose torque tells no factor have one as well
     unscaled = fit.log.names(joints[far | ~clear])
     gains = gains[some]
-    typical = float(np.exp(np.log(gains).mean()))
+    typical = np.exp(np.log(gains).mean())
     one = bool((np.abs(np.log(gains / typical)) < 3.0 * std[some]).all())
     names = fit.log.names(joints[some])
     if one:
@@ -1099,10 +1091,9 @@ def in_joint_frames(robot: Robot) -> Array:
     model = robot.model
     places = [model.jointPlacements[j + 1] for j in range(1, robot.nv)]
     places.append(model.frames[robot.tip].placement)
-    moved = []
-    for place, phi in zip(places, robot.phi.reshape(robot.nv, 10), strict=True):
-        body = pin.Inertia.FromDynamicParameters(phi)
-        moved.append(place.act(body).toDynamicParameters())
+    bodies = map(pin.Inertia.FromDynamicParameters, robot.phi.reshape(-1, 10))
+    pairs = zip(places, bodies, strict=True)
+    moved = [place.act(body).toDynamicParameters() for place, body in pairs]
     return np.concatenate(moved)
 
 
@@ -1166,12 +1157,12 @@ def _delays(fit: TorqueFit) -> Iterator[Installation]:
     if rises[lag, place] == 0:
         return
     joints = [every, *((j,) for j in fit.joints)][place]
-    choices = 2 * float(np.log(len(lags)))
+    choices = 2 * np.log(len(lags))
     found = _polished(
         fit, _one(fit, _late(fit, joints, lags[lag : lag + 1]), more=choices)
     )
-    evidence = found.faults[0].evidence
-    std = float(evidence.get("std", np.inf))
+    evidence = found.evidence
+    std = evidence.get("std", np.inf)
     if LONGEST_DELAY + 2 * std < abs(evidence["delay"]) <= SEARCH.latest:
         yield found
 
@@ -1203,7 +1194,7 @@ def _changes(fit: TorqueFit) -> Iterator[Installation]:
         ((fit.joints[one],), rises[:, 1 + one]),
     ):
         since = np.full(nv, np.inf)
-        since[[*joints]] = start = float(times[np.argmin(rise)])
+        since[[*joints]] = start = times[np.argmin(rise)]
         names = fit.log.names(joints)
         where = f" of {names[0]}" if len(joints) < len(every) else ""
         detail = (
@@ -1213,7 +1204,7 @@ def _changes(fit: TorqueFit) -> Iterator[Installation]:
         )
         evidence = {"channel": "tau", "since": since, "jumps": 1}
         # of a time, and of two values of each joint
-        choices = ANY_VALUE + 2 * len(joints) * float(np.log(fit.rows.sum()))
+        choices = ANY_VALUE + 2 * len(joints) * np.log(fit.rows.sum())
         yield _one(
             fit, Fault("corrupt_rows", names, detail, evidence), more=choices
         )
@@ -1223,7 +1214,7 @@ def _late(
     fit: TorqueFit, joints: Sequence[int], delay: Array, std: Array | None = None
 ) -> Fault:
     names = fit.log.names(joints)
-    size = 1e3 * abs(float(delay[0]))
+    size = 1e3 * abs(delay[0])
     known = "" if std is None else f" ± {1e3 * std[0]:.2g}"
     where = f" of {names[0]}" if len(joints) < fit.robot.nv else ""
     way, side = ("lags", "later") if delay[0] > 0 else ("leads", "earlier")
@@ -1259,8 +1250,7 @@ def _mounting(fit: TorqueFit) -> Iterator[Installation]:
         return np.append(1 - unit.sum(), unit)
 
     gravity = _best(_of_sums(fit, (), robots, weights), axes, 0.5)
-    fault = _mounted(fit, range(fit.robot.nv), gravity)
-    yield _one(fit, fault, more=ANY_VALUE)
+    yield _one(fit, _mounted(fit, range(fit.robot.nv), gravity), more=ANY_VALUE)
 
 
 def _mounted(
@@ -1269,8 +1259,7 @@ def _mounted(
     """The fault of an arm under another gravity than its model's, of the same size [m/s²]."""
     given = fit.robot.gravity
     gravity = gravity * (np.linalg.norm(given) / np.linalg.norm(gravity))
-    cosine = gravity @ given / (given @ given)
-    angle = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+    angle = np.degrees(np.arccos(np.clip(gravity @ given / (given @ given), -1, 1)))
     vector = ", ".join(f"{x:.2f}" for x in gravity)
     detail = (
         f"the arm is mounted otherwise than its model says: gravity points along ({vector}) m/s² "
@@ -1293,7 +1282,7 @@ def _zeros(fit: TorqueFit, j: int) -> Iterator[Installation]:
     robots = [fit.robot.with_zero(fit.robot.joints[j], x) for x in CIRCLE]
     grid = np.arange(-np.pi, np.pi, SEARCH.step)
     for channels in ((), ("q", "dq"), ("tau",), ("q", "dq", "tau")):
-        signs = [_sign(fit.log, [j], channels)] * bool(channels)
+        signs = [_sign(fit, [j], channels)] * bool(channels)
         unlikeness = _of_sums(fit, signs, robots, circle_weights)
         free = _best(unlikeness, grid[:, None], SEARCH.step)
         right = SEARCH.right * np.round(free / SEARCH.right)

@@ -91,8 +91,7 @@ def _channel(
         pairs = zip(units, robot.revolute, strict=True)
         names = [named(channel.role, size, bool(turns)) for size, turns in pairs]
         by_joint = _by_joint(robot, names, changed | (units != 1))
-        alike = len({*names}) == 1
-        said["units"] = {channel.role: names[0] if alike else by_joint}
+        said["units"] = {channel.role: names[0] if len({*names}) == 1 else by_joint}
     signs = np.sign(sizes)
     changed = signs != np.sign(channel.factors)
     if changed.any():

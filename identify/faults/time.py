@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 
 from excitant.identify.faults.fault import (
+    NO_ROWS,
     Fault,
     Log,
     Mask,
@@ -30,10 +31,8 @@ from excitant.identify.preprocessing import longest_step
 from excitant.identify.recording import FASTEST
 from excitant.robots.motion import Array
 
-_NONE: Rows = np.zeros(0, np.intp)
-FROZEN_ROWS = (
-    20  # alike, from which on a log is taken to have stopped, not to repeat
-)
+FROZEN_ROWS = 20
+"""Rows alike, from which on a log is taken to have stopped, not to repeat."""
 _WINDOW_S = 0.2  # of a window, at least `_WINDOW_ROWS` rows
 _WINDOW_ROWS = 8
 _MOVING_WINDOWS = 8  # in which a joint must move before its slope counts
@@ -93,18 +92,16 @@ def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
     differ by habit, a gap is longer than they are by chance.
     """
     steps = np.diff(log.t) / log.step
-    if len(steps) < 3:
-        return
     steps[np.searchsorted(log.t, starts) - 1] = 1.0
     padded = np.pad(steps, 1, constant_values=1.0)
     pairs = np.minimum(padded[:-2], padded[2:]) + steps
-    habit = float(np.median(np.abs(steps - 1))) / 0.6745
+    habit = np.median(np.abs(steps - 1)) / 0.6745
     longest = max(1.5, 1 + normal_bound(len(steps)) * habit)  # nearer to two
     at = np.flatnonzero((steps > longest) & (pairs > longest + 1))
     if not len(at):
         return
     missing = int(np.round(steps[at] - 1).sum())
-    k = int(at[np.argmax(steps[at])])
+    k = at[np.argmax(steps[at])]
     detail = (
         f"{len(at)} gap{'s' * (len(at) > 1)} in time, about {missing} sample{'s' * (missing > 1)} "
         f"missing of {len(log) + missing}; the "
@@ -173,9 +170,6 @@ def _held_torque(log: Log, repeats: Mask) -> Iterator[tuple[int, int]]:
 def hidden_gaps(log: Log) -> Iterator[Fault]:
     """Rows that are missing though the stamps run on: all joints jump by m whole samples."""
     rate = np.diff(log.q, axis=0) / np.diff(log.t)[:, None]
-    n = len(rate)
-    if n < 30:
-        return
     speed = _median_around(rate)
     rounding = 1e-12 * np.abs(rate).max(axis=0)
     scatter = np.median(np.abs(rate - speed), axis=0) / 0.6745 + rounding
@@ -193,12 +187,10 @@ def hidden_gaps(log: Log) -> Iterator[Fault]:
     whole = (samples >= 1) & (np.abs(m - samples) < 0.25)
     beside = np.maximum(np.abs(np.roll(m, 1)), np.abs(np.roll(m, -1)))
     alone = np.abs(m) > 2 * beside
-    several = (
-        ((np.abs(s) > 3).sum(axis=1) >= 2) if log.nv > 1 else np.zeros(n, bool)
-    )
+    several = (np.abs(s) > 3).sum(axis=1) >= 2
     clear = (z > tail_bound(z)) & (shared > 0.95)
     rows = np.flatnonzero(clear & whole & alone & several)
-    rows = rows[(rows > 5) & (rows < n - 6)]
+    rows = rows[(rows > 5) & (rows < len(rate) - 6)]
     if not len(rows):
         return
     missing = int(samples[rows].sum())
@@ -225,7 +217,7 @@ def _logged_again(log: Log, timed: Rows) -> Rows:
     """Rows that repeat an earlier one, not the row before, with its stamp and values."""
     rows = timed[np.diff(log.t[timed], prepend=-np.inf) != 0]
     if (np.diff(log.t[rows]) > 0).all():
-        return _NONE
+        return NO_ROWS
     import pandas as pd
 
     channels = [x for _, x in log.channels()]
@@ -238,8 +230,8 @@ def _settled(log: Log, rows: Rows) -> tuple[Rows, Rows] | None:
     rows = rows[np.diff(log.t[rows], prepend=-np.inf) != 0]
     t = log.t[rows]
     if (np.diff(t) > 0).all():
-        return _NONE, _NONE
-    step = float(np.median(np.abs(np.diff(t))))
+        return NO_ROWS, NO_ROWS
+    step = np.median(np.abs(np.diff(t)))
     moved = np.abs(t - _smoothed(t)) > REPAIRABLE.stray * step
     near = t[~moved]
     behind = near < np.maximum.accumulate(near)
@@ -254,8 +246,7 @@ def _settled(log: Log, rows: Rows) -> tuple[Rows, Rows] | None:
 
 
 def _smoothed(t: Array) -> Array:
-    size = 2 * REPAIRABLE.run + 1
-    return scipy.ndimage.median_filter(t, size, mode="nearest")
+    return scipy.ndimage.median_filter(t, 2 * REPAIRABLE.run + 1, mode="nearest")
 
 
 def _unfit(t: Array, q: Array, order: Rows, moved: Mask, step: float) -> Mask:
@@ -269,7 +260,7 @@ def _unfit(t: Array, q: Array, order: Rows, moved: Mask, step: float) -> Mask:
     joined = (np.diff(order) == 1) | gap | smooth
     over_one = np.median(change, axis=0)
     over_two = np.median(np.abs(q[2:] - q[:-2]), axis=0)
-    take_turns = bool((over_one > REPAIRABLE.rough * over_two).any())
+    take_turns = (over_one > REPAIRABLE.rough * over_two).any()
     unfit = moved & take_turns
     for start, count in zip(*run_lengths(moved), strict=True):
         end = start + count
@@ -297,7 +288,7 @@ def _repeated(log: Log, timed: Rows, again: Rows) -> Iterator[Fault]:
     if not len(rows):
         return
     equal = [(x[beside] == x[before]).all(axis=1) for _, x in log.channels()]
-    identical = int(np.all(equal, axis=0).sum()) + len(again)
+    identical = np.all(equal, axis=0).sum() + len(again)
     share = f"{100 * len(rows) / len(log):.2f} %"
     detail = (
         f"{len(rows)} of {len(log)} rows ({share}) repeat the time of an earlier one, {identical} "
@@ -315,7 +306,7 @@ def _backward(
     rows = timed[1:][np.diff(log.t[timed]) < 0]
     if not len(rows):
         return
-    first = int(rows[0])
+    first = rows[0]
     before = log.t[timed[timed < first][-1]]
     where = f"first from {before:.6g} to {log.t[first]:.6g} s in row {first}"
     if settled is None:
@@ -364,14 +355,13 @@ def velocity_faults(log: Log, limits: Array) -> list[Fault]:
     b, error, follows = _slopes(log)
     tolerance = np.maximum(_MARGIN, normal_bound(log.nv) * error)
     wrong = [j for j in follows if abs(b[j] - 1) > tolerance[j]]
-    shared = _shared_slope(b[follows]) if wrong == follows else None
     peaks = np.zeros(log.nv) if log.dq is None else np.abs(log.dq).max(axis=0)
-    possible = bool(np.median(peaks / limits) < FASTEST)
-    of_clock = shared is not None and shared > 0 and possible
+    possible = np.median(peaks / limits) < FASTEST
+    shared = _shared_slope(b[follows]) if wrong == follows and possible else None
     if len(log) > 3 and (np.diff(log.t) == 1.0).all():
         first, last = log.t[[0, -1]]
         detail = f"every time step is exactly 1, so t counts samples ({first:g} to {last:g})"
-        if shared is None or not of_clock:
+        if shared is None:
             return [
                 Fault("wrong_sample_rate", log.joints, detail, {"counts": True})
             ]
@@ -381,8 +371,8 @@ def velocity_faults(log: Log, limits: Array) -> list[Fault]:
         return [slow_clock(log.joints, shared, detail)]
     if wrong and (change := _rate_change(log)) is not None:
         return [change]
-    if shared is None or not of_clock or _unit_slope(shared) is not None:
-        return [_joint_fault(log, j, float(b[j]), float(error[j])) for j in wrong]
+    if shared is None or _unit_slope(shared):
+        return [_joint_fault(log, j, b[j], error[j]) for j in wrong]
     near = [rate for rate in RATES if abs(shared / rate - 1) < _UNIT_MARGIN]
     factor = near[0] if near else shared
     detail = (
@@ -395,10 +385,9 @@ def velocity_faults(log: Log, limits: Array) -> list[Fault]:
 
 
 def _shared_slope(slopes: Array) -> float | None:
-    """The slope that all moving joints share, when more than one moves."""
-    if len(slopes) < 2:
+    """The positive slope that all moving joints share, when more than one moves."""
+    if len(slopes) < 2 or (shared := float(np.median(slopes))) <= 0:
         return None
-    shared = float(np.median(slopes))
     return shared if (np.abs(slopes / shared - 1) < _MARGIN).all() else None
 
 
@@ -457,7 +446,7 @@ def _rate_change(log: Log) -> Fault | None:
     second = (xy[-1] - xy[k]) / (xx[-1] - xx[k])
     with_two = yy[-1] - first * xy[k] - second * (xy[-1] - xy[k])
     with_one = yy[-1] - xy[-1] ** 2 / xx[-1]
-    best = int(np.argmin(with_two))
+    best = np.argmin(with_two)
     before = float(first[best])
     after = float(second[best])
     clear = with_two[best] <= 0.1 * with_one
@@ -492,7 +481,7 @@ def _joint_fault(log: Log, j: int, slope: float, error: float) -> Fault:
     """The wrong unit or sign of one joint's velocity or position."""
     joint = log.joints[j]
     unit = _unit_slope(slope)
-    sign = float(np.sign(slope))
+    sign = np.sign(slope)
     size = unit or abs(slope)
     channel = "dq"
     if abs(slope + 1) <= _MARGIN:

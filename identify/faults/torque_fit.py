@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -45,6 +45,7 @@ _BAND = 8.0  # bandwidth kept, in parts of the motion's rms frequency
 _ROWS = 60  # fewer filtered rows tell nothing
 _RANK_TOLERANCE = 1e-10  # of the largest eigenvalue
 _MOTION = ("q", "dq", "ddq")
+_OF_LOG = ("dry", "tau", "recorded", "scale")
 _MOVED = {"q": (*_MOTION, "dry"), "tau": ("tau",)}
 """Arrays of a `Smooth` that a remedy of a channel acts on."""
 
@@ -59,9 +60,8 @@ class Smooth(NamedTuple):
     rate: float  # rows per time unit of the log
     recorded: Rows  # column of the log that each joint's torque is, shape (nv,)
     scale: Array  # of each torque per its reading, without sign, shape (nv,)
-    since: Array | None = (
-        None  # when dry friction and offset become others, shape (nv,)
-    )
+    # when dry friction and offset become others, shape (nv,)
+    since: Array | None = None
 
     @property
     def effects(self) -> Array:
@@ -75,20 +75,20 @@ class Smooth(NamedTuple):
 
     def remedied(self, remedies: Iterable[Remedy]) -> Smooth:
         """The log with remedies of time, positions and torque; speeds are those of positions."""
-        arrays = {name: np.array(getattr(self.motion, name)) for name in _MOTION}
-        arrays |= {"dry": np.array(self.dry), "tau": np.array(self.tau)}
-        recorded = self.recorded
-        scale = np.array(self.scale)
+        arrays = dict[str, Any]()
+        arrays |= {name: np.array(getattr(self.motion, name)) for name in _MOTION}
+        arrays |= {name: np.array(getattr(self, name)) for name in _OF_LOG}
         for remedy in remedies:
             if remedy.channel == "t":
                 arrays["dq"] /= remedy.factor
                 arrays["ddq"] /= remedy.factor**2
                 arrays["dry"] *= np.sign(remedy.factor)
+            joints = [*remedy.joints]
             if (remedy.action, remedy.channel) == ("order", "tau"):
-                recorded = recorded[[*remedy.joints]]
-                scale = scale[[*remedy.joints]]
+                for name in ("recorded", "scale"):
+                    arrays[name] = arrays[name][joints]
             if (remedy.action, remedy.channel) == ("scale", "tau"):
-                scale[[*remedy.joints]] *= abs(remedy.factor)
+                arrays["scale"][joints] *= abs(remedy.factor)
             for name in _MOVED.get(remedy.channel, ()):
                 x = arrays[name]
                 arrays[name] = (
@@ -96,14 +96,8 @@ class Smooth(NamedTuple):
                     if remedy.action == "advance"
                     else remedy.on_columns(x)
                 )
-        motion = Motion(self.motion.t, *(arrays[name] for name in _MOTION))
-        return self._replace(
-            motion=motion,
-            dry=arrays["dry"],
-            tau=arrays["tau"],
-            recorded=recorded,
-            scale=scale,
-        )
+        motion = Motion(self.motion.t, *(arrays.pop(name) for name in _MOTION))
+        return self._replace(motion=motion, **arrays)
 
     def filtered(self, values: Array) -> Array:
         """Values at the instants of the motion, (N, ...), filtered once more, without the ends."""
@@ -120,9 +114,8 @@ def smooth(log: Log) -> Smooth | None:
     rate = 1 / log.step
     span = np.std(log.q, axis=0)
     speed = root_mean_square(log.travel) / log.step
-    moved = span > 50 * log.grain
-    per_span = np.divide(speed, span, out=0 * span, where=moved)
-    frequency = float(per_span.max()) / (2 * np.pi)
+    per_span = np.divide(speed, span, out=0 * span, where=span > 50 * log.grain)
+    frequency = per_span.max() / (2 * np.pi)
     least = 2 * _BAND / (grid[-1] - grid[0])
     cutoff = min(max(_BAND * frequency, least), 0.2 * rate)
 
@@ -228,9 +221,9 @@ class TorqueFit:
             columns, y = without_effects(self.F[:, j], X[:, j], self.tau[:, j])
             nominal = columns[:, -1]
             along = max(float(nominal @ nominal), len(y) * 1e-24)
-            gain = float(nominal @ y) / along
+            gain = nominal @ y / along
             error = y - gain * nominal
-            noise = float(error @ error) / len(y) * autocorrelation_time(error)
+            noise = error @ error / len(y) * autocorrelation_time(error)
             by_noise = np.sqrt(noise / along) / max(abs(gain), 1e-300)
             by_bodies = np.linalg.norm(nominal @ columns[:, :-1]) / along
             gains.append(max(abs(gain), 1e-300))
@@ -319,7 +312,7 @@ class TorqueFit:
         weight = self.weight(noise * per_reading, rows)
         L = self._factor(weight, other)
         root = L[:-1, :-1]
-        occam = 2 * float(np.log(np.diag(root)).sum())
+        occam = 2 * np.log(np.diag(root)).sum()
         # power of the friction, of which errors of bodies and of gains take a part
         friction = self.sums.friction
         reach = friction[:, :-2] * self._std(other)
