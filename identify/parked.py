@@ -140,8 +140,8 @@ def _span(q: Array) -> float:
 
 def _stands_at(q: Array, position: float) -> bool:
     """Whether a joint does not leave a position but for noise."""
-    off = abs(float(np.median(q)) - position)
-    return off <= STILL.wander and bool(np.ptp(q) <= _span(q))
+    off = abs(np.median(q) - position)
+    return bool(off <= STILL.wander and np.ptp(q) <= _span(q))
 
 
 def freed_for(
@@ -153,18 +153,11 @@ def freed_for(
     """
     if not robot.locked or not sources:
         return robot
-    candidates = dict.fromkeys((robot.unchosen, (), held_alone(robot)))
-    for names in candidates:
+    for names in dict.fromkeys((robot.unchosen, (), held_alone(robot))):
         free = freed(robot, names) if names else robot
-        if all(_covers(source, free, mapping) for source in sources):
+        if all(covers(source, free, mapping) for source in sources):
             return free
     return robot
-
-
-def _covers(source: Source, robot: Robot, mapping: ColumnMap | None) -> bool:
-    if isinstance(source, Recording):
-        return source.nv == robot.nv
-    return covers(source, robot, mapping)
 
 
 def parked(
@@ -189,18 +182,15 @@ def parked(
     apart = stand & (np.ptp(centres, axis=0) > STILL.wander)
     notes = [
         _apart(free, j, centres[:, j], recordings)
-        for j in range(free.nv)
-        if apart[j]
+        for j in np.flatnonzero(apart).tolist()
     ]
     stand &= ~apart
-    places = dict(zip(free.joints, centres.mean(axis=0).tolist(), strict=True))
-    standing_joints = [
-        j for j, still in zip(free.joints, stand, strict=True) if still
-    ]
+    everywhere = zip(free.joints, centres.mean(axis=0).tolist(), stand, strict=True)
+    places = {joint: q for joint, q, still in everywhere if still}
     chosen = given.joints if held else ()
-    positions = {j: places[j] for j in standing_joints if j in chosen}
+    positions = {j: q for j, q in places.items() if j in chosen}
     if len(positions) == given.nv:
-        span = max(float(np.ptp(each.q, axis=0).max()) for each in recordings)
+        span = max(np.ptp(each.q, axis=0).max() for each in recordings)
         raise BadRecording(
             recordings[0].file,
             f"no joint moves: positions vary by at most {span:.3g}; record a motion "
@@ -208,7 +198,7 @@ def parked(
         )
     beside = {j: q for j, q in given.locked if j in free.joints}
     for joint in {*beside} & {*given.unchosen}:
-        if joint in standing_joints:
+        if joint in places:
             positions[joint] = places[joint]
         else:
             _refuse_coupled(given, free, joint, recordings)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from excitant.identify.reading.units import ISO, Unit, factor
 from excitant.identify.signals import samples_motion
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, quotient
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,10 +42,9 @@ def cells(series: pd.Series) -> Cells:
         return series
     if isinstance(series.dtype, np.dtype):
         return series.to_numpy()
-    whole = np.dtype(f"{kind}8")
     if series.hasnans:
         return series.to_numpy(float, na_value=np.nan)
-    return series.to_numpy(whole)
+    return series.to_numpy(np.dtype(f"{kind}8"))
 
 
 def as_numbers(values: Cells) -> Array:
@@ -73,12 +72,11 @@ def _as_floats(values: Cells) -> Array:
             for v in values
         ]
         values = values.astype(object).where(np.array(plain, bool), None)
-    numbers = pd.to_numeric(values, errors="coerce")
-    return numbers.to_numpy(float, na_value=np.nan)
+    return pd.to_numeric(values, errors="coerce").to_numpy(float, na_value=np.nan)
 
 
 def stamps_unit(
-    values: Cells, possible: Callable[[float], bool] = lambda step: True
+    values: Cells, possible: Callable[[float], bool]
 ) -> tuple[str | None, str]:
     """The unit of time that numbers show, None where it is seconds, and what they are.
 
@@ -96,8 +94,8 @@ def stamps_unit(
         return (ISO, "dates") if _dates(values).notna().any() else (None, "")
     with np.errstate(over="ignore"):
         steps = np.diff(numbers)
-        (low, high) = _SECONDS_SINCE_1970
-    middle = float(np.median(numbers))
+        low, high = _SECONDS_SINCE_1970
+    middle = np.median(numbers)
     forward = steps[(steps > 0) & (steps != 1)]
     step = float(np.median(forward)) if 2 * len(forward) > len(steps) else 0.0
     short = {unit: s for unit, s in _SCALES.items() if step * s < _FAR_APART}
@@ -116,8 +114,7 @@ def in_seconds(values: Cells, unit: Unit | None) -> tuple[Array, Array]:
     ``unit`` is `ISO` for dates, or seconds per logged unit; cells that are no time become NaN.
     """
     dated = unit == ISO or _is_date(values)
-    lasting = values.dtype.kind == "m"
-    if dated or lasting:
+    if dated or values.dtype.kind == "m":
         import pandas as pd
 
         times = _dates(values) if dated else pd.Series(values)
@@ -125,11 +122,7 @@ def in_seconds(values: Cells, unit: Unit | None) -> tuple[Array, Array]:
         try:
             stamps = times.astype(kind.format("ns"))
             per_second = 1_000_000_000
-        except (
-            pd.errors.OutOfBoundsDatetime,
-            pd.errors.OutOfBoundsTimedelta,
-            OverflowError,
-        ):
+        except (ValueError, OverflowError):  # out of bounds
             stamps = times.astype(kind.format("us"))
             per_second = 1_000_000
         ticks: Any = stamps.astype("int64").to_numpy()
@@ -146,8 +139,8 @@ def in_seconds(values: Cells, unit: Unit | None) -> tuple[Array, Array]:
     return seconds, (ticks % per_second).astype(float) / per_second
 
 
-def regular_clock(t: Array, q: Array) -> tuple[Array, str]:
-    """Time of rows that were sampled regularly, though their stamps jitter, and what it is.
+def regular_clock(t: Array, q: Array, column: str) -> tuple[Array, tuple[str, ...]]:
+    """Time of rows that were sampled regularly, though their stamps jitter, and a note of it.
 
     Stamps stay, and nothing is said, unless
 
@@ -160,36 +153,35 @@ def regular_clock(t: Array, q: Array) -> tuple[Array, str]:
     Args:
         t: Stamps, shape (n,) [s].
         q: Positions, shape (n, nv).
+        column: That of the stamps.
     """
     finite = np.isfinite(t).all() and np.isfinite(q).all()
     if len(t) < 50 or not finite or not samples_motion(q):
-        return t, ""
+        return t, ()
     half = len(t) // 2
-    period = float(np.median(t[half:] - t[:-half])) / half
+    period = np.median(t[half:] - t[:-half]) / half
     regular = period * np.arange(len(t), dtype=float)
     deviation = t - regular
-    jitter = float(np.median(np.abs(np.diff(t) - period)))
+    jitter = np.median(np.abs(np.diff(t) - period))
     if jitter <= 0.05 * period or period <= 0 or samples_motion(deviation[:, None]):
-        return t, ""
+        return t, ()
     expected, change = _beside(np.diff(q, axis=0))
     _, more = _beside(np.diff(t) / period)
     by_stamps = expected * more[:, None]
-    scatter = change.var(axis=0)
-    weight = np.divide(1.0, scatter, out=0 * scatter, where=scatter > 0)
+    weight = quotient(1.0, change.var(axis=0))
     power = by_stamps**2 @ weight
     shown = (by_stamps * change) @ weight
     total = max(float(power.sum()), 1e-300)
-    beta = float(shown.sum()) / total
-    std = float(np.linalg.norm(shown - beta * power)) / total
-    most = abs(beta) + 3 * std
+    beta = shown.sum() / total
+    most = abs(beta) + 3 * np.linalg.norm(shown - beta * power) / total
     if not power.any() or most > 0.5:
-        return t, ""
-    what = (
-        f"stamps that jitter by {100 * deviation.std() / period:.2g} % of their step of "
-        f"{period:.4g} s, of which positions follow at most {100 * most:.2g} %: rows are regular, "
-        "and the time is the straight line through the stamps"
+        return t, ()
+    note = (
+        f"time: {column} holds stamps that jitter by {100 * deviation.std() / period:.2g} % of "
+        f"their step of {period:.4g} s, of which positions follow at most {100 * most:.2g} %: "
+        "rows are regular, and the time is the straight line through the stamps"
     )
-    return regular, what
+    return regular, (note,)
 
 
 def _beside(x: Array) -> tuple[Array, Array]:

@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from typing import Any, TypeVar
 
 import numpy as np
@@ -59,9 +60,8 @@ class Channel:
     gains: Array
     # coordinates of the model by those that are logged; None where they are the same
     coupling: Array | None = None
-    note: str = (
-        ""  # how the columns were understood; empty where there was no choice
-    )
+    # how the columns were understood; empty where there was no choice
+    note: str = ""
 
     def in_si_units(self, logged: Sequence[Array]) -> Array:
         """Values of the joints, shape (n, nv), of those in its columns."""
@@ -256,7 +256,7 @@ class _Search:
             self.revolute: list[bool | None] = [None] * robot
         else:
             self.joints = self.labels = robot.joints
-            self.revolute = [bool(turns) for turns in robot.revolute]
+            self.revolute = robot.revolute.tolist()
         self.count = len(self.labels)
         prefix, self.aliases = _aliases(table.labels.values(), self.joints)
         self.notes = list[str]()
@@ -568,9 +568,8 @@ class _Search:
 
     def _some(self) -> str:
         """The first columns, of those whose names say nothing if there are any."""
-        groups = [group for groups in self.groups.values() for group in groups]
-        telling = {column for names in self.times[0] for column in names}
-        for group in groups:
+        telling = {*chain(*self.times[0])}
+        for group in chain(*self.groups.values()):
             if group.full:
                 telling |= {m.column for m in group.members.values()}
         every = [*self.table.names]
@@ -670,10 +669,9 @@ def _unit_in(column: str, role: str, turns: bool | None = None) -> str | None:
 
 def _alike(values: Sequence[object]) -> str:
     """The value of all joints, or one of each."""
-    several = values if len({*values}) > 1 else values[:1]
     return ", ".join(
         f"{value:.6g}" if isinstance(value, float) else str(value)
-        for value in several
+        for value in (values if len({*values}) > 1 else values[:1])
     )
 
 

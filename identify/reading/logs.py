@@ -76,15 +76,20 @@ def load_recording(
 
 
 def covers(
-    source: Path | pd.DataFrame, robot: Robot, mapping: ColumnMap | None = None
+    source: Recording | pd.DataFrame | Path,
+    robot: Robot,
+    mapping: ColumnMap | None,
 ) -> bool:
     """Whether a log has columns of all joints of a robot, by their names or number."""
+    if isinstance(source, Recording):
+        return source.nv == robot.nv
     mapping = mapping or ColumnMap()
     try:
-        if isinstance(source, Path):
-            table = _open_log(source, mapping)
-        else:
-            table = tables.table_of_frame(source, "")
+        table = (
+            _open_log(source, mapping)
+            if isinstance(source, Path)
+            else tables.table_of_frame(source, "")
+        )
         resolve(table, robot, mapping)
     except (BadRecording, BadInput):
         return False
@@ -138,7 +143,7 @@ def read_chunks(
         refuse_bad_rows(raw, first_row, end)
         tau = np.concatenate([extremes, raw.tau]) if len(extremes) else raw.tau
         extremes = np.array([tau.min(axis=0), tau.max(axis=0)])
-        end = float(raw.t[-1])
+        end = raw.t[-1]
         first_row += len(raw)
         yield with_finite_speeds(raw)
     if end < MINIMUM_DURATION:
@@ -243,21 +248,14 @@ def _pieces(
             q = np.column_stack([cells.as_numbers(frame[name]) for name in names])
             possible = partial(_possible, q * columns.q.factors, robot)
             unit, what = cells.stamps_unit(frame[columns.t[0]], possible)
-            notes = (f"time: {columns.t[0]} holds {what}",) if unit else ()
-            columns = replace(columns, t_unit=unit, notes=(*columns.notes, *notes))
+            said = (f"time: {columns.t[0]} holds {what}",) if unit else ()
+            columns = replace(columns, t_unit=unit, notes=(*columns.notes, *said))
         timed = True
         raw, origin = _in_si_units(table, frame, columns, origin)
-        yield raw if rows else _on_its_clock(raw)
-
-
-def _on_its_clock(raw: Recording) -> Recording:
-    """The log with the time of its samples, where its stamps are those of their arrival."""
-    t, what = cells.regular_clock(raw.t, raw.q)
-    if not what:
-        return raw
-    return replace(
-        raw, t=t, notes=(*raw.notes, f"time: {raw.columns[0]} holds {what}")
-    )
+        if not rows:  # stamps may be those of arrival
+            t, notes = cells.regular_clock(raw.t, raw.q, raw.columns[0])
+            raw = replace(raw, t=t, notes=raw.notes + notes)
+        yield raw
 
 
 def _possible(q: Array, robot: Robot | int, step: float) -> bool:
@@ -306,14 +304,10 @@ def _in_si_units(
     if len(columns.t) == 2:
         rest = rest + 1e-9 * cells.as_numbers(frame[columns.t[1]])
     note_unreadable(time, whole + rest)
-    usable = np.flatnonzero(np.isfinite(whole + rest))
     if origin is None:
-        first = usable[0] if len(usable) else None
-        origin = (
-            (0.0, 0.0)
-            if first is None
-            else (float(whole[first]), float(rest[first]))
-        )
+        usable = np.isfinite(whole + rest)
+        times = zip(whole[usable], rest[usable], strict=True)
+        origin = next(times, (0.0, 0.0))
     with np.errstate(invalid="ignore", over="ignore"):
         t = (whole - origin[0]) + (rest - origin[1])
     others = {name: x for name, x in frame.items() if name not in columns.names}

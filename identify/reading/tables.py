@@ -173,7 +173,7 @@ def parquet_table(path: Path) -> Table:
                 page_checksum_verification=True,
             ) as file:
                 if rows is None:
-                    kept = len(names) if wanted is None else len(wanted)
+                    kept = len(names if wanted is None else wanted)
                     refuse_size(8 * file.metadata.num_rows * kept)
                     yield frame(file.read(columns=wanted, use_threads=False))
                     return
@@ -239,9 +239,8 @@ def json_table(path: Path) -> Table:
         if missing := [name for name in records[0] if name not in record]:
             why = "is missing; write it, or null"
             raise BadRecording(path, why, row=row, column=missing[0])
-    names = records[0]
     arrays = {
-        name: _stacked([record[name] for record in records]) for name in names
+        name: _stacked([record[name] for record in records]) for name in records[0]
     }
     return _table_of_arrays(arrays, path)
 

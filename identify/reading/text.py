@@ -216,16 +216,16 @@ def _dialect_of(path: Path) -> _Dialect:
     encoding, text, cut, whole = _head(path)
     lines = text.splitlines()
     # a space between numbers is rather a separator, if that suits the names
-    unnamed = list[tuple[int, str, bool]]()
+    found: tuple[int, str, str, bool, bool] | None = None
     for vectors, separator in product((False, True), _SEPARATORS):
         first = _first_row(lines, separator, vectors)
-        if first is None:
-            continue
-        if _header(lines[:first], separator):
-            return _dialect_from(lines, first, separator, encoding, cut, vectors)
-        unnamed.append((first, separator, vectors))
-    for first, separator, vectors in unnamed[:1]:
-        return _dialect_from(lines, first, separator, encoding, cut, vectors)
+        named = first is not None and _header(lines[:first], separator)
+        if first is not None and (named or not found):
+            found = first, separator, encoding, cut, vectors
+        if named:
+            break
+    if found:
+        return _dialect_from(lines, *found)
     if not whole:
         why = f"no row of numbers below their names in the first {_HEAD >> 10} KiB"
         advice = "cut off what stands above, or leave columns out"
@@ -256,8 +256,8 @@ def _dialect_from(
     cells = [cell for row in rows for cell in row]
     commas = sum(bool(_COMMA.fullmatch(cell)) for cell in cells)
     points = sum("." in cell and bool(_POINT.fullmatch(cell)) for cell in cells)
-    names = _header(lines[:first], separator) or _echoed(rows[0])
-    names = names or list(map(str, range(len(rows[0]))))
+    numbers = [*map(str, range(len(rows[0])))]
+    names = _header(lines[:first], separator) or _echoed(rows[0]) or numbers
     if len(rows[0]) == len(names) + 1 and rows[0][-1] == "":
         names.append("")
     labels = {}
