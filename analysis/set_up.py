@@ -79,13 +79,10 @@ class SetUp:
     def rivals(self) -> tuple[Rival, ...]:
         """Other installations that would make the same torque; they have no columns."""
         none = np.zeros((0, 0))
-        alike = [
-            x
-            for fault in self.checked.of_the_arm
-            for x in fault.evidence.get("alike", ())
-        ]
         effects = (
-            _effect_of(name, joints, self.robot.joints) for name, joints in alike
+            _effect_of(name, joints, self.robot.joints)
+            for fault in self.checked.of_the_arm
+            for name, joints in fault.evidence.get("alike", ())
         )
         return tuple(
             Rival(Candidate(effect, slice(0, 0), none), (), 0.0, 1.0)
@@ -145,9 +142,8 @@ class SetUp:
     def amends(self, fault: Mapping[str, Any]) -> bool:
         """Whether a fault, under its JSON names, is repaired or in the model."""
         repaired = {(name, f.fault) for name, f in self._of_data if f.repairable}
-        changed = self.robot is not self.given
         return (fault["recording"], fault["fault"]) in repaired or (
-            changed and is_modelled(fault)
+            self.robot is not self.given and is_modelled(fault)
         )
 
     def without(self, effect: Effect, model: Robot) -> Robot:

@@ -39,9 +39,8 @@ from excitant.robots.torque import observation_columns
 
 ROWS = 1000  # over which EᵀE is averaged: to some per cent
 
-RATE_SHARE = (
-    0.2  # highest cut-off over the rate: 0.8 of what every second sample can show
-)
+RATE_SHARE = 0.2
+"""Highest cut-off over the rate: 0.8 of what every second sample can show."""
 
 ATTENUATION = 0.02
 """Noise of a joint's acceleration over its rms from which on instruments are tried.

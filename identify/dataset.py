@@ -94,8 +94,7 @@ class Dataset:
             BadInput: Nothing to read.
             BadRecording: A recording that cannot be used.
         """
-        paths = self.paths(names)
-        return read_recordings(paths, self.robot, mapping=self.mapping)
+        return read_recordings(self.paths(names), self.robot, mapping=self.mapping)
 
     def paths(
         self, names: Sequence[str], *, without: Sequence[str] = ()

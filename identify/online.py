@@ -48,7 +48,14 @@ from excitant.identify.rows import effects_of, fit_rows, fitted, places_of, spli
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect
 from excitant.robots.effects.base import Law
-from excitant.robots.motion import Array, Indices, Mask, Motion, root_mean_square
+from excitant.robots.motion import (
+    Array,
+    Indices,
+    Mask,
+    Motion,
+    numbered,
+    root_mean_square,
+)
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 from excitant.robots.torque import observation_columns
@@ -66,9 +73,8 @@ FEWEST_SAMPLES = 5  # without a gap, of a part that is used
 RANDOM_STATES = 100  # that show which columns act on which joint
 MONITOR_WINDOW_S = 8.0  # of motion that the monitor judges
 PERIOD = 0.5  # between two looks of the monitor [s]
-REFERENCE_S = (
-    10.0  # of reference motion, over which the uncertainty of torque is taken
-)
+REFERENCE_S = 10.0
+"""Of reference motion, over which the uncertainty of torque is taken."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,9 +150,7 @@ class OnlineEstimator:
         self._sigma = None if sigma is None else np.array(sigma, float)
         self._last_sigma: Array | None = None
         self._fade = (
-            1.0
-            if forgetting is None
-            else float(np.exp(-self.row_period / forgetting))
+            1.0 if forgetting is None else np.exp(-self.row_period / forgetting)
         )
         noise = np.broadcast_to(
             np.maximum(position_noise, POSITION_ROUNDING), (robot.nv,)
@@ -315,8 +319,7 @@ class OnlineEstimator:
         self.rows += 1
 
     def _goes_one_way(self) -> Mask:
-        corners = self._samples[self._corners, : self.robot.nv]
-        steps = corners[1:] - corners[:-1]
+        steps = np.diff(self._samples[self._corners, : self.robot.nv], axis=0)
         return (steps.min(axis=0) > self._still) | (
             steps.max(axis=0) < -self._still
         )
@@ -396,11 +399,10 @@ def _acting_columns(
 ) -> list[Indices]:
     """Base columns that can act on each joint; refuses effects that depend on the past."""
     rng = np.random.default_rng(1)
-    t = np.arange(float(RANDOM_STATES))
     states = robot.random_motion(rng, RANDOM_STATES)
     order = rng.permutation(RANDOM_STATES)
-    motion = Motion(t, *states)
-    shuffled = Motion(t, *(x[order] for x in states))
+    motion = numbered(*states)
+    shuffled = numbered(*(x[order] for x in states))
     for effect in effects:
         plain = effect.columns(robot, motion)
         if not np.allclose(plain[order], effect.columns(robot, shuffled)):
@@ -431,10 +433,10 @@ def replayable(
         BadRecording: Too short for one row.
     """
     times = []
-    end = float(recordings[0].t[0])
+    end = recordings[0].t[0]
     for each in recordings:
         times.append(each.t - each.t[0] + end)
-        end = float(times[-1][-1]) + PAUSE_S
+        end = times[-1][-1] + PAUSE_S
     file = recordings[0].file
     q, tau = (
         np.concatenate([getattr(r, name) for r in recordings])
@@ -477,9 +479,8 @@ class Look:
     estimate: OnlineEstimate
     # of the last seconds; None before a whole window
     excitation: WindowExcitation | None
-    uncertainty: (
-        Array  # of torque on a reference motion, rms, shape (nv,) [torque unit]
-    )
+    # of torque on a reference motion, rms, shape (nv,) [torque unit]
+    uncertainty: Array
 
     @property
     def converged(self) -> bool:
@@ -514,7 +515,10 @@ class Monitor:
     def look(self) -> Look:
         """Look now, and say what has changed; refuses before the first row."""
         estimate = self.estimator.estimate()
-        uncertainty = self._uncertainty(estimate.covariance)
+        uncertainty = np.full(self.estimator.robot.nv, np.inf)
+        if np.isfinite(estimate.covariance).all():
+            std = torque_std(self._reference, estimate.covariance)
+            uncertainty = root_mean_square(std)
         window = self._excitation(estimate)
         look = Look(estimate, window, uncertainty)
         if look.converged != self._converged:
@@ -528,12 +532,6 @@ class Monitor:
             self.messages.append((estimate.t, window.sentence))
         return look
 
-    def _uncertainty(self, P: Array) -> Array:
-        if not np.isfinite(P).all():
-            return np.full(self.estimator.robot.nv, np.inf)
-        std = torque_std(self._reference, P)
-        return root_mean_square(std)
-
     def _excitation(self, estimate: OnlineEstimate) -> WindowExcitation | None:
         e = self.estimator
         rows = self.estimator.recent()
@@ -541,7 +539,7 @@ class Monitor:
             return None
         independent = estimate.inflation * ROWS_PER_SECOND * e.row_period
         sigma = estimate.sigma * np.sqrt(np.maximum(independent, 1e-12))
-        first = int(np.searchsorted(rows.motion.t, estimate.t - self.window))
+        first = np.searchsorted(rows.motion.t, estimate.t - self.window)
         late = slice(first, None)
         W = rows.W[late] * rows.used[late, :, None]
         motion = rows.motion[late]
@@ -566,9 +564,7 @@ class OnlineIdentification:
             "online": {
                 "delay_s": self.delay,
                 "differentiator": self.differentiator,
-                "messages": [
-                    {"t": float(t), "text": text} for t, text in self.messages
-                ],
+                "messages": [{"t": t, "text": text} for t, text in self.messages],
                 "converged": self.looks[-1].converged,
                 "history": {
                     "t": [look.estimate.t for look in self.looks],
@@ -634,7 +630,6 @@ def identify_online(
     fit = looks[-1].estimate
     whitened = fit.data.R @ base.regrouping, fit.data.z
     estimate = estimate_by(robot, rows, fit, whitened, (data.holdout, why))
-    messages = tuple(monitor.messages)
     return OnlineIdentification(
-        estimate, tuple(looks), messages, estimator.delay, why
+        estimate, tuple(looks), tuple(monitor.messages), estimator.delay, why
     )

@@ -54,7 +54,7 @@ class Sampling:
     """How recordings become rows.
 
     Attributes:
-        nyquist_share: Highest cut-off of positions over half the sampling rate.
+        highest_share: Highest cut-off of positions over the sampling rate.
         chunk: Instants evaluated together, of a segment thrice as long.
         smooth_rate: Least sampling rate over the cut-off that keeps the position band, and
             products of positions, free of aliasing.
@@ -66,7 +66,7 @@ class Sampling:
         burst_steps: A mean step of more median steps than this has no regular rate.
     """
 
-    nyquist_share: float = 0.8
+    highest_share: float = 0.4
     chunk: int = 10_000
     smooth_rate: float = 8.0
     largest_rows: int = 15_000
@@ -146,9 +146,7 @@ class Segment(Noun):
     @cached_property
     def thin(self) -> Segment:
         """The segment at the lowest rate that holds all that positions pass, rows as they are."""
-        start = self.keep.start
-        stop = self.keep.stop
-        step = self.keep.step or 1
+        start, stop, step = self.keep.indices(len(self.motion))
         factor = _decimation(self.rate_hz, self.cutoff_hz)
         if factor == 1 or step % factor or self.whole:
             return self
@@ -173,9 +171,7 @@ class Segment(Noun):
         Long segments are evaluated in parts that overlap by what the filter remembers, each part
         for all kinds: what they share of a motion is computed once.
         """
-        start = self.keep.start
-        stop = self.keep.stop
-        step = self.keep.step or 1
+        start, stop, step = self.keep.indices(len(self.motion))
         reach = int(MEMORY_PERIODS * self.rate_hz / self.cutoff_hz)
         size = -(-SAMPLING.chunk // step) * step
         if len(self.motion) <= 3 * size + 2 * reach:
@@ -245,7 +241,7 @@ def prepare(
         raise BadRecording(recording.file, why, column="t")
     if cutoff_hz is None:
         cutoff_hz = min(CUTOFF_HZ, default_cutoff(recording))
-    highest = 0.5 * SAMPLING.nyquist_share / step
+    highest = SAMPLING.highest_share / step
     if not 0 < cutoff_hz <= highest * (1 + 1e-9):
         raise BadRecording(
             recording.file,
@@ -282,7 +278,7 @@ def prepare(
 
 def position_cutoff(cutoff_hz: float, rate_hz: float) -> float:
     """Cut-off of the filter of positions beside that of torque, at a sampling rate [Hz]."""
-    return min(POSITION_RATIO * cutoff_hz, 0.5 * SAMPLING.nyquist_share * rate_hz)
+    return min(POSITION_RATIO * cutoff_hz, SAMPLING.highest_share * rate_hz)
 
 
 def _segment(
@@ -293,8 +289,7 @@ def _segment(
     band_hz: float,
 ) -> Segment:
     grid, measured, tau, dq = resampled(recording, part)
-    own_band = position_cutoff(cutoff_hz, 1 / step)
-    q, sensors = smoothed(grid, measured, dq, own_band)
+    q, sensors = smoothed(grid, measured, dq, position_cutoff(cutoff_hz, 1 / step))
     motion = differentiated(grid, q, band_hz)
     edge = round(1 / (cutoff_hz * step))
     rows_apart = int(1 / (4 * cutoff_hz * step) + SAMPLING.rounding)
@@ -318,7 +313,7 @@ def _segment(
 
 def default_cutoff(recording: Recording) -> float:
     """Highest cut-off of torque at which positions, at twice that, are still filtered [Hz]."""
-    return 0.5 * SAMPLING.nyquist_share / (POSITION_RATIO * _step(recording))
+    return SAMPLING.highest_share / (POSITION_RATIO * _step(recording))
 
 
 def _step(recording: Recording) -> float:
@@ -349,7 +344,7 @@ def longest_gap(t: Array, q: Array) -> float:
     positions are not samples of a motion do not count.
     """
     steps = np.diff(t)
-    longest = longest_step(float(np.median(steps)))
+    longest = longest_step(np.median(steps))
     if steps.max(initial=0.0) <= longest:
         return longest
     near = steps <= longest
@@ -358,8 +353,7 @@ def longest_gap(t: Array, q: Array) -> float:
         2 * np.pi * x.std() / root_mean_square((np.diff(x) / steps)[near])
         for x in moving
     ]
-    shortest = min(periods, default=0.0)
-    return max(longest, float(shortest) / (2 * SAMPLING.smooth_rate))
+    return max(longest, min(periods, default=0.0) / (2 * SAMPLING.smooth_rate))
 
 
 def longest_step(step: float) -> float:
@@ -383,7 +377,7 @@ def resampled(
     tau = recording.tau[rows]
     dq = None if recording.dq is None else recording.dq[rows]
     step = recording.step
-    mean = float(t[-1] - t[0]) / len(t)
+    mean = (t[-1] - t[0]) / len(t)
     if mean > SAMPLING.burst_steps * step:
         why = (
             f"samples come in bursts: half of them are at most {step:.3g} s apart, in the mean "
