@@ -11,14 +11,7 @@ from marks import refused
 from plant_recordings import PENDULUM
 
 from excitant.exceptions import BadRecording
-from excitant.identify import (
-    Estimate,
-    Recording,
-    identify_robot,
-    load_dataset,
-    publication,
-    split,
-)
+from excitant.identify import Estimate, Recording, identify_robot, load_dataset, publication, split
 from excitant.identify.export import hold_out
 from excitant.identify.objections import MISSED, HoldOut, objections
 from excitant.identify.tables import of_bodies

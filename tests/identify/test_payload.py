@@ -186,9 +186,8 @@ def test_what_is_kept_is_of_that_model_alone(planar: Robot, planar_runs: Runs) -
     assert model.estimate is not None
     changed = (model.with_parameters(model.phi), model.with_effects(()))
     assert all(other.estimate is None for other in (*changed, model.with_zero("joint1", 0.1)))
-    viscous = standard_effects(planar.joints)[:1]
-    with pytest.raises(BadInput, match="other effects"):
-        identify_payload(model, planar_runs[:1], effects=viscous)
+    few = standard_effects(planar.joints)[:1]
+    refused("other effects", identify_payload, model, planar_runs[:1], effects=few, error=BadInput)
 
 
 def test_a_payload_in_a_loop_is_seen_when_it_is_picked_up(planar_runs: Runs, planar: Robot) -> None:

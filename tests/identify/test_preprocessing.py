@@ -25,13 +25,7 @@ from excitant.identify.differentiators import (
 from excitant.identify.preprocessing import SAMPLING, Segment, prepare
 from excitant.identify.regression import effect_columns
 from excitant.identify.rows import split
-from excitant.identify.signals import (
-    differentiated,
-    live,
-    low_pass,
-    resolution,
-    smoothed,
-)
+from excitant.identify.signals import differentiated, live, low_pass, resolution, smoothed
 from excitant.robots import load_robot, rigid_body_torque
 from excitant.robots.effects import Backlash
 from excitant.robots.motion import power_density
@@ -108,8 +102,8 @@ def test_parts_too_short_between_gaps_are_left_out_or_refused() -> None:
 def test_a_cutoff_that_does_not_fit_is_refused() -> None:
     unfit = [(T, f, "102") for f in (102.5, 128.0, 1e4, 0.0, -3.0, np.nan)]
     for t, cutoff, highest in (*unfit, (SLOW, 4.1, "4")):
-        with pytest.raises(BadRecording, match=f"choose one up to {highest} Hz"):
-            prepared(t, np.sin(t)[:, None], cutoff)
+        wave, why = np.sin(t)[:, None], f"choose one up to {highest} Hz"
+        refused(why, prepared, t, wave, cutoff, error=BadRecording)
     for given, expected in ((None, 2.0), (4.0, 4.0)):  # positions: 4 of 5 Hz
         [segment] = prepared(SLOW, np.sin(SLOW)[:, None], given)
         assert segment.cutoff_hz == pytest.approx(expected)

@@ -78,15 +78,11 @@ def test_a_bad_file_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "corrupt.parquet").write_bytes(b"PAR1 rubbish")
     (tmp_path / "binary.csv").write_bytes(bytes(range(128, 256)) * 20)
     (tmp_path / "unknown.xyz").write_bytes(b"t,q1\n")
-    (tmp_path / "preamble.csv").write_text(
-        "# " + 300_000 * "x" + "\nt,q1,q2,tau1,tau2\n0,0,0,0,0\n"
-    )
-    unreadable = (
-        "preamble.csv.*first 256 KiB",
-        "corrupt.parquet.*cannot be read",
-        "binary.csv.*cannot be read",
-    )
-    for words in (*unreadable, "unknown.xyz.*give .parquet or .csv", "nothing.csv.*no such file"):
+    long = "# " + 300_000 * "x"
+    (tmp_path / "preamble.csv").write_text(f"{long}\nt,q1,q2,tau1,tau2\n0,0,0,0,0\n")
+    damaged = [f"{name}.*cannot be read" for name in ("corrupt.parquet", "binary.csv")]
+    others = ["unknown.xyz.*give .parquet or .csv", "nothing.csv.*no such file"]
+    for words in (*damaged, "preamble.csv.*first 256 KiB", *others):
         refused(words, load_recording, tmp_path / words.partition(".*")[0], 2, error=BadRecording)
 
 
