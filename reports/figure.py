@@ -203,7 +203,7 @@ def figure(
     panels: Sequence[Panel | None], caption: str, legend: Sequence[Key] = ()
 ) -> Figure | None:
     """A figure of the panels that have data; None without any."""
-    present = [panel for panel in panels if panel is not None]
+    present = list(filter(None, panels))
     return Figure(present, caption, legend) if present else None
 
 
@@ -232,6 +232,11 @@ class Timeline:
     def axis(self, label: str = "time [s]") -> Axis:
         """The abscissa from the first to the last time."""
         return Axis(label, float(self.t[0]), float(self.t[-1]))
+
+
+def bars(low: Array, high: Array) -> Array:
+    """A coordinate of a curve of bars, NaN after the ends of each, shape (n,) to (3 n,)."""
+    return np.column_stack([low, high, np.full_like(low, np.nan)]).ravel()
 
 
 def thinned(mark: Mark, bins: int) -> Mark:

@@ -193,11 +193,17 @@ def _use(file: str) -> str:
     return next((use for end, use in _FORMATS.items() if file.endswith(end)), "")
 
 
-def _tables(blocks: Sequence[Block]) -> Iterator[Table]:
+def flat(blocks: Sequence[Block]) -> Iterator[Block]:
+    """Blocks and those within them."""
     for block in blocks:
+        yield block
+        if isinstance(block, Folded):
+            yield from flat(block.blocks)
+
+
+def _tables(blocks: Sequence[Block]) -> Iterator[Table]:
+    for block in flat(blocks):
         match block:
-            case Folded():
-                yield from _tables(block.blocks)
             case Facts():
                 known = [fact for fact in block.facts if not fact.timing]
                 rows = [
@@ -234,10 +240,7 @@ def table(
     if not rows:
         return None
     present = [column for column in columns if column is not None]
-    heads = [
-        (column[0].partition(":")[2], column[0].partition(":")[0])
-        for column in present
-    ]
+    heads = [column[0].partition(":")[::-2] for column in present]
     cells = [[_cell(row, *column) for column in present] for row in rows]
     if len(rows) > most:
         folded = folded or long.format(len(rows))
@@ -254,7 +257,7 @@ def _cell(row: Any, head: str, source: Source, write: Write | None = None) -> Ce
     return cell(value, write)
 
 
-def cell(value: Any, write: Write = v.number, tone: str = PLAIN) -> Cell:
+def cell(value: Any, write: Write, tone: str = PLAIN) -> Cell:
     """A value as it is written, with a tone; a dash for none."""
     return Cell(write(value) or NONE, tone, v.real(value))
 
@@ -342,7 +345,7 @@ def section(
     title: str,
     lead: str,
     parts: Parts,
-    brief: Brief = (),
+    brief: Brief,
     closed: Parts | None = None,
 ) -> Section:
     """A section without the blocks that are None and the parts that are left empty.
@@ -358,4 +361,4 @@ def _part(title: str, blocks: Blocks, closed: bool = False) -> Folded:
     built = [
         _part(*block) if isinstance(block, tuple) else block for block in blocks
     ]
-    return Folded(title, [block for block in built if block is not None], closed)
+    return Folded(title, list(filter(None, built)), closed)

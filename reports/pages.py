@@ -306,7 +306,7 @@ def _comparison_page(result: Compare) -> Page:
         f"{title}: {result.robot}" if result.robot else title,
         f"{len(runs)} runs of excitant {result.of}, compared with A; ○ marks estimates "
         f"that lie apart. {sections[0].lead if len(sections) == 1 else ''}",
-        [block for block in blocks if block is not None],
+        list(filter(None, blocks)),
         sections,
         [("note", remark) for remark in result.remarks],
     )

@@ -67,8 +67,7 @@ def arm_player(result: Robots, series: Series) -> Player | None:
     """An arm whose joints move one after the other; None without frames."""
     names = [joint.name for joint in result.joints]
     look = result.appearance
-    n = len(np.atleast_1d(series.get("play_t", ())))
-    frames = _whole(series, n, {"t": (), "q": (len(names),), "dq": (len(names),)})
+    frames = _whole(series, {"t": (), "q": (len(names),), "dq": (len(names),)})
     if not frames:
         return None
     return Player(
@@ -131,23 +130,23 @@ def moments(result: Motion) -> list[Moment]:
 
 def _frames(series: Series, nv: int) -> dict[str, npt.NDArray[Any]] | None:
     """Arrays of the frames, shares in steps; None unless they are whole."""
-    n = len(np.atleast_1d(series.get("play_t", ())))
     joints = {"q": (nv,), "dq": (nv,), "shares": (len(_QUANTITIES), nv)}
-    frames = _whole(series, n, {"t": (), **joints})
-    if n < 2 or not frames:
+    frames = _whole(series, {"t": (), **joints})
+    if not frames or len(frames["t"]) < 2:
         return None
     shares = np.round(frames["shares"] / _SHARE)
     # exceeded by less than a step
     shares += (frames["shares"] > FULL) & (shares * _SHARE <= 1)
     frames["shares"] = np.minimum(shares, 65535)
-    frames |= _whole(series, n, {"pair": (), "distance": (), "points": (2, 3)})
+    frames |= _whole(series, {"pair": (), "distance": (), "points": (2, 3)})
     return frames
 
 
 def _whole(
-    series: Series, n: int, shapes: dict[str, tuple[int, ...]]
+    series: Series, shapes: dict[str, tuple[int, ...]]
 ) -> dict[str, npt.NDArray[Any]]:
-    """Arrays of n frames by name; none of them unless all are there and finite."""
+    """Arrays of all frames by name; none of them unless all are there and finite."""
+    n = len(np.atleast_1d(series.get("play_t", ())))
     arrays = {}
     for name, shape in shapes.items():
         x = v.array(series, f"play_{name}", n, *shape)

@@ -24,6 +24,7 @@ from excitant.reports.page import (
     Player,
     Section,
     Table,
+    flat,
 )
 from excitant.reports.values import NONE
 
@@ -54,7 +55,7 @@ def html(page: Page, saved: bool = True) -> str:
         type(block)
         for section in page.sections
         for part in section.parts
-        for block in _blocks(part.blocks)
+        for block in flat(part.blocks)
     }
     drawn = Figure in kinds
     names = [
@@ -67,14 +68,6 @@ def html(page: Page, saved: bool = True) -> str:
     return template.render(
         page=page, saved=saved, drawn=drawn, scripts=scripts, colours=COLOURS
     )
-
-
-def _blocks(blocks: Sequence[Block]) -> Iterator[Block]:
-    """Blocks and those within them."""
-    for block in blocks:
-        yield block
-        if isinstance(block, Folded):
-            yield from _blocks(block.blocks)
 
 
 def _script(name: str) -> dict[str, str]:

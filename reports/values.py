@@ -14,6 +14,7 @@ Series = Mapping[str, Array]
 
 NONE = "–"
 _BEYOND = 1e200  # no quantity is as large: what is made of it would overflow
+_FEW = 3  # joints that are told by name
 SINGULAR = 1e8  # condition number: half of the digits of a normal equation are lost
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -153,6 +154,11 @@ def value_and_std(value: object, std: object) -> tuple[str, str]:
     return _positional(x, decimals), _positional(s, decimals)
 
 
+def interval(value: object, std: object) -> str:
+    """A value and its standard deviation, likewise."""
+    return " ± ".join(value_and_std(value, std))
+
+
 def percent(value: object, digits: int = 2) -> str:
     """A share as a percentage."""
     x = real(value)
@@ -187,6 +193,12 @@ def change(before: object, after: object, write: Any = number) -> str:
 def listing(names: Sequence[str], none: str = NONE) -> str:
     """Names in one line."""
     return ", ".join(names) if names else none
+
+
+def few(joints: Sequence[str]) -> str:
+    """Joints by name, or how many they are; empty without any."""
+    count = len(joints)
+    return listing(joints, "") if count <= _FEW else f"{count} joints"
 
 
 def sentence(words: str) -> str:

@@ -20,6 +20,7 @@ from excitant.reports.figure import (
     Panel,
     Points,
     Rule,
+    bars,
     figure,
 )
 from excitant.reports.figures.residual import MEDIANS, cloud
@@ -140,13 +141,11 @@ def _forest(name: str, rows: Sequence[Parameter]) -> Panel:
     std = v.reals([row.std for row in rows])
     given = v.reals([row.given for row in rows])
     half = _DEVIATIONS * np.nan_to_num(std)
-    apart = np.full(len(rows), np.nan)
-    interval = np.column_stack([value - half, value + half, apart]).ravel()
-    heights = np.column_stack([y, y, apart]).ravel()
+    interval = bars(value - half, value + half)
     prior = np.array([row.decided_by == "prior" for row in rows])
     marks = (
         Rule(0.0, along="x"),
-        Line(interval, heights, FITTED, "", 1.4),
+        Line(interval, bars(y, y), FITTED, "", 1.4),
         Points(given, y, GIVEN, "given", 6.0, "ring"),
         Points(value[~prior], y[~prior], FITTED, "identified", 3.6),
         Points(value[prior], y[prior], FITTED, "by the prior", 3.6, "hole"),

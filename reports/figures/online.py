@@ -90,7 +90,7 @@ def _estimate_panel(
     ordinate = Axis(f"[{unit}]" if unit else "[SI]", bottom - room, top + room)
     abscissa = Axis("time [s]", float(t[0]), float(t[-1]))
     marks = Band(t, low, high), Line(t, value, FITTED, "estimate", 1.2)
-    last = " ± ".join(v.value_and_std(value[-1], std[-1]))
+    last = v.interval(value[-1], std[-1])
     axes = Axes(marks, abscissa, ordinate, 150)
     label = f"{name} over time, at the end {last} {unit}"
     return Panel((axes,), label, v.shorten(name, 44))

@@ -220,7 +220,7 @@ def _motion(result: Motion, series: Series) -> p.Parts:
     limits = Limits(result.limit_values, result.certified, result.revolute)
     motion = motion_figure(result.joints, limits, series)
     return [
-        ("Motion against limits", [*_limits(result), motion]),
+        ("Motion against limits", [_limits(result), motion]),
         ("Excitation of the parameters", [spectrum_figure(series)]),
     ]
 
@@ -335,7 +335,7 @@ def _worst_ratio(result: Motion) -> float | None:
     return max(ratios, default=None)
 
 
-def _limits(result: Motion) -> p.Blocks:
+def _limits(result: Motion) -> p.Table | None:
     shares = _shares(result)
 
     def verdict(quantity: str) -> p.Cell:
@@ -347,7 +347,7 @@ def _limits(result: Motion) -> p.Blocks:
     def worst_at(quantity: str, field: str) -> Any:
         return getattr(result.worst.get(quantity), field, None)
 
-    worst = p.table(
+    return p.table(
         list(shares),
         [
             ("name:Quantity", str),
@@ -358,7 +358,6 @@ def _limits(result: Motion) -> p.Blocks:
         ],
         "The worst point of the continuous motion, also between samples: 100 % is the limit.",
     )
-    return [worst]
 
 
 def _weakest(result: Design) -> p.Table | None:

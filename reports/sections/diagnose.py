@@ -46,7 +46,6 @@ _WITHOUT_STD = (
 )
 _FIRST = 7  # findings in the first table
 _USUAL = ("viscous_friction", "coulomb_friction")  # of every joint
-_NAMED = 3  # joints in a title
 _LEADING = 3  # findings that are shown without opening a fold
 _CURVES = Curves(
     "simulated",
@@ -254,10 +253,7 @@ def _finding_parts(
     parts: p.Parts = []
     others: p.Blocks = []
     for k, finding in enumerate(findings):
-        names = finding.joints
-        joints = (
-            v.listing(names, "") if len(names) <= _NAMED else f"{len(names)} joints"
-        )
+        joints = v.few(finding.joints)
         title = f"Finding {k + 1}: {_cause(finding)}{' at ' * bool(joints)}{joints}"
         blocks: p.Blocks = [
             p.notes([_sentence(finding, unit)]),

@@ -57,7 +57,7 @@ def examination_page(
     return p.Page(
         f"{title}: {result.robot}",
         subtitle,
-        [block for block in blocks if block is not None],
+        list(filter(None, blocks)),
         list(sections.values()),
         (*_brief(result, sections), *last),
         table=joints,

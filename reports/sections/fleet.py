@@ -14,6 +14,7 @@ from excitant.reports.figure import (
     Line,
     Panel,
     Points,
+    bars,
     figure,
 )
 from excitant.reports.values import Series
@@ -102,15 +103,11 @@ def _facts(result: Fleet, odd: int, changing: int, failed: int) -> p.Facts | Non
     )
 
 
-def _interval(value: float, std: float) -> p.Cell:
-    return p.Cell(" ± ".join(v.value_and_std(value, std)), value=value)
-
-
 def _differs(row: Deviation) -> str:
     more = "less" if row.difference < 0 else "more"
-    value = _interval(row.value, row.std).text
-    apart = _interval(row.difference, row.difference_std).text
-    others = _interval(row.siblings, row.spread).text
+    value = v.interval(row.value, row.std)
+    apart = v.interval(row.difference, row.difference_std)
+    others = v.interval(row.siblings, row.spread)
     return (
         f"{row.arm}: {row.parameter} is {value} {row.unit}, {apart.lstrip('−-')} {more} than that "
         f"of its {row.count} siblings ({others})"
@@ -118,7 +115,7 @@ def _differs(row: Deviation) -> str:
 
 
 def _apart(row: Difference) -> str:
-    difference = _interval(row.difference, row.std).text
+    difference = v.interval(row.difference, row.std)
     return (
         f"{row.parameter} differs by {difference} {row.unit} between {row.low} "
         f"({v.number(row.low_value)}) and {row.high} ({v.number(row.high_value)})"
@@ -130,7 +127,7 @@ def _changes(row: Drift) -> str:
     std = row.std / _MONTHS
     way = "falls" if slope < 0 else "rises"
     return (
-        f"{row.arm}: {row.parameter} {way} by {_interval(abs(slope), std).text} {row.unit} a "
+        f"{row.arm}: {row.parameter} {way} by {v.interval(abs(slope), std)} {row.unit} a "
         f"month, from {v.number(row.before)} on {row.first} to {v.number(row.after)} on {row.last}"
     )
 
@@ -157,10 +154,8 @@ def _panel(k: int, row: Drift, series: Series) -> Panel | None:
     if x is None or std is None:
         return None
     ends = np.array([np.nanmin(days), np.nanmax(days)])
-    apart = np.full(len(days), np.nan)
-    bars = np.column_stack([x - std, x + std, apart]).ravel()
     marks = (
-        Line(np.repeat(days, 3), bars, MEASURED, width=1.0),
+        Line(np.repeat(days, 3), bars(x - std, x + std), MEASURED, width=1.0),
         Points(days, x, MEASURED, "data set"),
         Line(ends, v.reals([row.before, row.after]), FITTED, "line through all"),
     )

@@ -36,7 +36,7 @@ CUTOFF_REMARK = (
     "errors are judged below it; measured and predicted torque are filtered alike"
 )
 _ENOUGH = 1.0  # excitation at which the last seconds say as much as the prior
-_FEW = 3  # links that moved, and joints of a fault, are told by name
+_FEW = 3  # links that moved are told by name
 _MESSAGES = 8  # shown without opening a fold
 CURVES = Curves(
     "given",
@@ -57,7 +57,7 @@ _IN_MUJOCO = Curves(
 
 def identify_section(result: Identify, series: Series) -> p.Section:
     """The identified model: errors before and after, and each parameter with its uncertainty."""
-    joints = _names(result)
+    joints = [row.name for row in result.joints]
     unit = result.unit
     notes = [note for note in result.notes if note != result.holdout]
     refusal = [result.refusal] * bool(result.refusal)
@@ -182,17 +182,12 @@ def fault_table(faults: list[Fault]) -> p.Table | None:
         [
             ("name:Recording", "recording"),
             ("name:Data fault", lambda r: p.Cell(v.plain(r.fault), p.POOR)),
-            ("name:Joints", _few_or_count),
+            ("name:Joints", "joints", v.few),
             ("text:Detail", lambda r: f"{r.detail} ({_remedy(r)})"),
         ],
         "Faults of the data, found before any model was judged by them.",
         brief="data fault",
     )
-
-
-def _few_or_count(fault: Fault) -> str:
-    count = len(fault.joints)
-    return v.listing(fault.joints) if count <= _FEW else f"{count} joints"
 
 
 def _remedy(fault: Fault) -> str:
@@ -302,10 +297,6 @@ def _errors(result: Identify) -> p.Table | None:
         "holds any torque, are judged in the column of all rows only. nrmse is rms over "
         "the measured torque's standard deviation.",
     )
-
-
-def _names(result: Identify) -> list[str]:
-    return [row.name for row in result.joints]
 
 
 def _intervals(result: Identify, unit: str) -> p.Table | None:
@@ -561,12 +552,12 @@ def _payload_facts(payload: Payload) -> p.Facts:
     s = payload.mass.std
     tone = p.GOOD if 2 * s <= 0.02 * abs(m) else p.FAIR
     remark = f"one standard deviation; held by {payload.link}"
-    mass = f"{' ± '.join(v.value_and_std(m, s))}\u00a0kg"
+    mass = f"{v.interval(m, s)}\u00a0kg"
     facts = [p.Fact("Mass", mass, remark, tone, m)]
     centre = payload.centre_of_mass
     for axis, c, std in zip("xyz", centre.value, centre.std, strict=True):
         tone = p.GOOD if 2 * std <= 3e-3 else p.FAIR
-        value = f"{' ± '.join(v.value_and_std(1e3 * c, 1e3 * std))}\u00a0mm"
+        value = f"{v.interval(1e3 * c, 1e3 * std)}\u00a0mm"
         label = f"Centre of mass, {axis}"
         facts.append(
             p.Fact(label, value, "in the frame of its joint", tone, 1e3 * c)
