@@ -272,7 +272,7 @@ def last_rows(
     torque of joint i can show of it, once the links further out are known, are the base
     parameters whose last row is i.
     """
-    states = robot.random_motion(np.random.default_rng(1), 100)
+    states = robot.random_motion(1, 100)
     W = observation_columns(robot, effects, numbered(*states))
     size = np.abs(W[:, :, list(base.columns)]).max(axis=0)
     present = size > _PRESENT * size.max(axis=0)

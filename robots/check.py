@@ -99,7 +99,7 @@ class ModelCheck:
                 [pin.computeGeneralizedGravity(model, data, pose) for pose in q]
             )
 
-        poses = robot.random_motion(np.random.default_rng(0), _POSES)[0]
+        poses = robot.random_motion(0, _POSES)[0]
         tau = weight(poses)
         low, high = np.clip(robot.limits.position, -np.pi, np.pi).T
         best = poses[tau.argmax(axis=0)]
@@ -509,7 +509,7 @@ def _moves_nothing(robot: Robot, body: Body, moment: Array) -> bool:
     k = robot.links.index(body.link)
     phi = robot.phi.copy()
     phi[10 * k + 4 : 10 * k + 10] -= elements(np.trace(moment) * np.eye(3) - moment)
-    states = robot.random_motion(np.random.default_rng(0), 5)
+    states = robot.random_motion(0, 5)
     motion = numbered(*states)
     before = rigid_body_torque(robot, motion)
     change = rigid_body_torque(robot.with_parameters(phi), motion) - before

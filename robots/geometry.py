@@ -283,9 +283,7 @@ def scene(
         geometry.addGeometryObject(pin.GeometryObject(_TOOL, *at, point))
     pairs = _pairs(robot, geometry, boxed)
     everything = _paired(robot, geometry, pairs, obstacles, np.ones(len(pairs)))
-    distance = everything.distances(
-        robot.random_motion(np.random.default_rng(0), _POSES)[0]
-    )
+    distance = everything.distances(robot.random_motion(0, _POSES)[0])
     largest = distance.max(axis=0)
     beside = np.array([bool(fixed & {*pair}) for pair in everything.pairs], bool)
     apart = (largest > _MOVING) & (np.ptp(distance, axis=0) > _MOVING)
@@ -297,7 +295,7 @@ def scene(
     return _paired(robot, geometry, [pairs[k] for k in kept], obstacles, scale)
 
 
-def usual_scene(robot: Robot, clearance: float = CLEARANCE) -> Scene | None:
+def usual_scene(robot: Robot, clearance: float) -> Scene | None:
     """Scene of an arm of whose cell nothing is said: its bodies, the floor it stands on."""
     height = base_plane(robot)
     obstacles = () if height is None else (floor(height),)
@@ -325,7 +323,7 @@ def base_plane(robot: Robot) -> float | None:
     ground = scene(robot, [floor(height)], 0.0)
     if ground is None:
         return height
-    poses = robot.random_motion(np.random.default_rng(0), _POSES)[0]
+    poses = robot.random_motion(0, _POSES)[0]
     above = [_FLOOR in pair for pair in ground.pairs]
     distance = ground.distances(poses)[:, above]
     return height if (distance > 0).all(axis=1).mean() >= _STANDS else None

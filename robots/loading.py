@@ -214,7 +214,7 @@ def _with_stated_effects(
 
 def _from_model(spec: RobotSpec, gravity: npt.ArrayLike | None = None) -> Robot:
     """Robot of a URDF, xacro or MJCF file, with the effects that the file states."""
-    return robot_of(_described(Path(spec), spec), spec, gravity)
+    return robot_of(_described(spec), spec, gravity)
 
 
 def robot_of(
@@ -231,8 +231,9 @@ def robot_of(
     return robot.with_effects(_effects(robot, description))
 
 
-def _described(path: Path, spec: RobotSpec) -> Description:
+def _described(spec: RobotSpec) -> Description:
     """The description in a file, whatever it is written in."""
+    path = Path(spec)
     text = read_description(path)
     if is_xacro(text):
         urdf, notes = urdf_from_xacro(path, spec.xacro_args, spec.packages)

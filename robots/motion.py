@@ -96,7 +96,7 @@ class Motion:
 
     def __getitem__(self, rows: slice | Indices | Mask) -> Motion:
         """The motion at some of its instants."""
-        return Motion(self.t[rows], self.q[rows], self.dq[rows], self.ddq[rows])
+        return Motion(*(part[rows] for part in vars(self).values()))
 
 
 def numbered(q: Array, dq: Array, ddq: Array) -> Motion:

@@ -138,25 +138,25 @@ def torque_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, Arra
     return by_q, by_dq, by_ddq
 
 
-def torque_along(robot: Robot, motion: Motion, joint: int, shift: Array) -> Array:
+def torque_along(robot: Robot, motion: Motion, joint: int, *shifts: Array) -> Array:
     """Change of the torque when one joint's true angle differs from the measured one.
 
     Args:
         robot: The arm.
         motion: Measured motion.
         joint: Index of the joint.
-        shift: True less measured angle per unit of a coefficient, shape (n,).
+        shifts: True less measured angle per unit of each coefficient, shape (n,).
 
     Returns:
-        Shape (n, nv) [N·m per unit].
+        Shape (n, nv, k) [N·m per unit].
     """
-    changed = np.zeros(motion.q.shape)
+    changed = np.zeros((*motion.q.shape, len(shifts)))
     lasts = np.ptp(motion.t) > 0  # else it is one instant, where nothing changes
-    rate = shift
+    rate = np.column_stack(shifts)
     for order, by in enumerate(torque_derivatives(robot, motion)):
         if order:
-            rate = np.gradient(rate, motion.t) if lasts else np.zeros_like(rate)
-        changed += by[:, :, joint] * rate[:, None]
+            rate = np.gradient(rate, motion.t, axis=0) if lasts else 0 * rate
+        changed += by[:, :, [joint]] * rate[:, None]
     return changed
 
 

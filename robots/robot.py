@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,30 +21,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from excitant.robots.effects import Effect
-    from excitant.robots.geometry import Body
-
-
-class Format(Protocol):
-    """The format of a description, such as URDF, which knows what a robot does not hold."""
-
-    def written(self, robot: Robot) -> str:
-        """Text of the robot as it is now."""
-
-    def bodies(self, robot: Robot) -> tuple[Body, ...]:
-        """Links that the joints move or that stand under them, from the base outward."""
-
-    def solids(self, robot: Robot, kind: str) -> Any:
-        """Collision or visual shapes as Pinocchio's geometry model, meshes as hulls.
-
-        Raises:
-            BadRobot: A mesh is damaged.
-        """
-
-    def carriers(self, robot: Robot, kind: str) -> set[str]:
-        """Moving links that carry collision or visual shapes; empty for what stands still."""
-
-    def count_shapes(self, robot: Robot, kind: str) -> tuple[int, int, int]:
-        """Number of shapes, of those whose mesh is not there, and is where it may not be read."""
+    from excitant.robots.urdf_shapes import UrdfFormat
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -74,17 +51,17 @@ class Robot(Shown):
     revolute: Mask
     limits: Limits
     description: str
-    format: Format
-    locked: tuple[tuple[str, float], ...] = ()
-    unchosen: tuple[str, ...] = ()
+    format: UrdfFormat
+    locked: tuple[tuple[str, float], ...]
+    unchosen: tuple[str, ...]
+    source: str
+    tool: str
+    notes: tuple[str, ...]
+    # folders, beside its own, in which its meshes may lie
+    packages: tuple[str, ...]
     effects: tuple[Effect, ...] = ()
-    source: str = ""
-    tool: str = ""
-    notes: tuple[str, ...] = ()
     # angles added to the readings of joints [rad]
     zeros: tuple[tuple[str, float], ...] = ()
-    # folders, beside its own, in which its meshes may lie
-    packages: tuple[str, ...] = ()
     described: bool = (
         True  # whether the description states its inertias and friction
     )
@@ -184,12 +161,14 @@ class Robot(Shown):
         return replace(self, limits=limits)
 
     def random_motion(
-        self, rng: np.random.Generator, n: int
+        self, rng: np.random.Generator | int, n: int
     ) -> tuple[Array, Array, Array]:
         """Random positions, velocities and accelerations inside the limits, each (n, nv).
 
+        A number instead of a generator is the seed of one.
         Unlimited quantities are drawn within one turn, 3 rad/s and 10 rad/s².
         """
+        rng = np.random.default_rng(rng)
         limits = self.limits
         low, high = np.clip(limits.position, -2 * np.pi, 2 * np.pi).T
         speed = limits.usual_speed

@@ -21,6 +21,7 @@ Finite = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 Positive = Annotated[float, msgspec.Meta(gt=0, le=1e9)]
 Three = tuple[Finite, Finite, Finite]
 Name = str | int
+OfJoints = float | list[float] | dict[str, float] | None
 _DEEPEST = 50  # levels of nesting
 _DIGITS = 18  # of a whole number that is kept as one
 _VALUES = 300_000  # values and characters that aliases may stand for
@@ -37,10 +38,10 @@ class LimitsRecord(Record, frozen=True):
     position: (
         list[float | tuple[float, float]] | dict[str, tuple[float, float]] | None
     ) = None
-    velocity: float | list[float] | dict[str, float] | None = None
-    acceleration: float | list[float] | dict[str, float] | None = None
-    torque: float | list[float] | dict[str, float] | None = None
-    jerk: float | list[float] | dict[str, float] | None = None
+    velocity: OfJoints = None
+    acceleration: OfJoints = None
+    torque: OfJoints = None
+    jerk: OfJoints = None
 
 
 class CylinderRecord(Record, frozen=True):

@@ -1,4 +1,4 @@
-"""Bodies, shapes and meshes that a URDF states, and the writing of a URDF: a `Format` of robots."""
+"""Bodies, shapes and meshes that a URDF states, and the writing of a URDF: the format of robots."""
 
 import os
 from functools import lru_cache
@@ -32,7 +32,7 @@ _LARGEST_MESH = 500_000_000  # bytes
 
 
 class UrdfFormat:
-    """What a URDF says of the robot that was read from it."""
+    """What a URDF says of the robot that was read from it, and the robot does not hold."""
 
     def written(self, robot: Robot) -> str:
         """URDF text of the robot as it is now."""
@@ -63,9 +63,34 @@ class UrdfFormat:
         order = ["", *robot.links]
         return tuple(sorted(bodies, key=lambda body: order.index(body.carrier)))
 
-    def solids(self, robot: Robot, kind: str) -> Any:
-        """Collision or visual shapes, meshes as hulls; never edited."""
-        return _solids(robot, kind)
+    @staticmethod
+    @lru_cache(maxsize=8)
+    def solids(robot: Robot, kind: str) -> Any:
+        """Collision or visual shapes as Pinocchio's geometry model; never edited.
+
+        Meshes are hulls, those that are missing left out.
+
+        Raises:
+            BadRobot: A mesh is damaged.
+        """
+        root = fromstring(robot.description)
+        meshes, _, _ = _take_meshes(root, robot, kind)
+        shapes = dict(
+            zip(meshes, hulls([*meshes.values()], robot.source), strict=True)
+        )
+        model = build_model(root, robot.source)
+        locked, reference = held_pose(model, dict(robot.locked))
+        text = tostring(root, encoding="unicode")
+        wanted = getattr(pin.GeometryType, kind.upper())
+        with quietly(robot.source):
+            geometry = pin.buildGeomFromUrdfString(model, text, wanted)
+        for body in geometry.geometryObjects:
+            body.geometry = shapes.get(body.name, body.geometry)
+        if locked:
+            _, (geometry,) = pin.buildReducedModel(
+                model, [geometry], locked, reference
+            )
+        return geometry
 
     def carriers(self, robot: Robot, kind: str) -> set[str]:
         """Moving links that carry collision or visual shapes; empty for what stands still."""
@@ -124,25 +149,6 @@ def _shape(element: Element) -> Shape | None:
     c = place.translation
     corners = c + (np.array(list(product((-1, 1), repeat=3))) * half) @ R.T
     return Shape(c, corners, float(volume), (R * variance) @ R.T)
-
-
-@lru_cache(maxsize=8)
-def _solids(robot: Robot, kind: str) -> Any:
-    """Collision or visual shapes, but for meshes that are not there; never edited."""
-    root = fromstring(robot.description)
-    meshes, _, _ = _take_meshes(root, robot, kind)
-    shapes = dict(zip(meshes, hulls([*meshes.values()], robot.source), strict=True))
-    model = build_model(root, robot.source)
-    locked, reference = held_pose(model, dict(robot.locked))
-    text = tostring(root, encoding="unicode")
-    wanted = getattr(pin.GeometryType, kind.upper())
-    with quietly(robot.source):
-        geometry = pin.buildGeomFromUrdfString(model, text, wanted)
-    for body in geometry.geometryObjects:
-        body.geometry = shapes.get(body.name, body.geometry)
-    if locked:
-        _, (geometry,) = pin.buildReducedModel(model, [geometry], locked, reference)
-    return geometry
 
 
 def _take_meshes(

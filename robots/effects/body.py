@@ -171,7 +171,7 @@ class AddedInertia(Effect):
 
         Else that which makes most of the torque over random states.
         """
-        states = robot.random_motion(np.random.default_rng(0), STATES)
+        states = robot.random_motion(0, STATES)
         torque = self.columns(robot, numbered(*states)) * self.coefficients
         size = root_mean_square(torque, axis=(0, 1))
         main = int(np.argmax(size))

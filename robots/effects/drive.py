@@ -120,10 +120,9 @@ class InertiaCoupling(PairEffect):
     words = Words("other acceleration")
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
-        i, k = self.rows(robot)
+        rows = self.rows(robot)
         columns = np.zeros((len(motion), robot.nv, 1))
-        columns[:, i, 0] = motion.ddq[:, k]
-        columns[:, k, 0] = motion.ddq[:, i]
+        columns[:, rows, 0] = motion.ddq[:, rows[::-1]]
         return columns
 
 
@@ -365,7 +364,7 @@ class JointElasticity(_Lag):
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         j = self.rows(robot)[0]
-        return torque_along(robot, motion, j, -_load(robot, motion, j))[:, :, None]
+        return torque_along(robot, motion, j, -_load(robot, motion, j))
 
 
 @registered
@@ -406,7 +405,7 @@ class Backlash(_Lag):
             return np.zeros((*motion.q.shape, 1))
         acceleration = _load(robot, motion, j) / inertia[:, j]
         lag = play(motion.t, acceleration, self.trial)
-        return torque_along(robot, motion, j, -(lag / self.trial))[:, :, None]
+        return torque_along(robot, motion, j, -(lag / self.trial))
 
 
 def play(t: Array, acceleration: Array, gap: float) -> Array:

@@ -225,7 +225,7 @@ class EncoderOffset(_EncoderError):
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         shift = np.ones(len(motion))
-        return torque_along(robot, motion, self.rows(robot)[0], shift)[:, :, None]
+        return torque_along(robot, motion, self.rows(robot)[0], shift)
 
 
 @registered
@@ -242,7 +242,7 @@ class EncoderScale(_EncoderError):
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         j = self.rows(robot)[0]
-        return torque_along(robot, motion, j, motion.q[:, j])[:, :, None]
+        return torque_along(robot, motion, j, motion.q[:, j])
 
 
 @registered
@@ -267,5 +267,4 @@ class EncoderEccentricity(_EncoderError):
         # a sliding joint has no turn
         q = motion.q[:, j]
         waves = robot.revolute[j] * np.array([np.cos(q), np.sin(q)])
-        parts = [torque_along(robot, motion, j, wave) for wave in waves]
-        return np.stack(parts, axis=2)
+        return torque_along(robot, motion, j, *waves)
