@@ -301,13 +301,8 @@ class _Point:
     kappa: float
 
     def moved(self, d: _Point, step: float) -> _Point:
-        return _Point(
-            self.X + step * d.X,
-            self.slack + step * d.slack,
-            self.y + step * d.y,
-            self.w + step * d.w,
-            self.kappa + step * d.kappa,
-        )
+        parts = zip(vars(self).values(), vars(d).values(), strict=True)
+        return _Point(*(own + step * change for own, change in parts))
 
     def product(self, S: Array) -> float:
         """Complementarity, with S = Σ w M − I and κ I − Σ w M, shape (2, r, r)."""

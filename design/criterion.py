@@ -65,7 +65,7 @@ class Information(Noun):
     def linearise(self, motion: Motion) -> RegressorDerivatives:
         """Base columns with their exact derivatives by q, q̇ and q̈ (with the smooth sign)."""
         exact = regressor_derivatives(self.robot, motion)
-        parts = [exact.Y, exact.by_q, exact.by_dq, exact.by_ddq]
+        parts = list(vars(exact).values())
         if self.columns == "friction":
             added = _friction_derivatives(self.robot, motion)
             parts = [

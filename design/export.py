@@ -35,7 +35,7 @@ _Periods = Annotated[int, msgspec.Meta(ge=1, le=10_000)]
 
 def motion_csv(motion: Motion) -> str:
     """Table ``t,q1..,dq1..,ddq1..`` in full double precision."""
-    table = np.column_stack([motion.t, motion.q, motion.dq, motion.ddq]).tolist()
+    table = np.column_stack([*vars(motion).values()]).tolist()
     rows = [_columns(motion.nv), *([repr(value) for value in row] for row in table)]
     return "\n".join(map(",".join, rows)) + "\n"
 
@@ -64,6 +64,7 @@ class _Record(msgspec.Struct, frozen=True):
 
 def trajectory_json(trajectory: Trajectory, robot: Robot) -> str:
     """The exact coefficients, with the names of the joints."""
+    cosine, sine = np.split(trajectory.coefficients[1:], 2)
     content = {
         "format": "fourier",
         "robot": robot.name,
@@ -71,14 +72,10 @@ def trajectory_json(trajectory: Trajectory, robot: Robot) -> str:
         "period": trajectory.period,
         "periods": trajectory.periods,
         "harmonics": trajectory.harmonics,
+        "offset": trajectory.offset.tolist(),
+        "cosine": cosine.tolist(),
+        "sine": sine.tolist(),
     }
-    cosine, sine = np.split(trajectory.coefficients[1:], 2)
-    for name, values in (
-        ("offset", trajectory.offset),
-        ("cosine", cosine),
-        ("sine", sine),
-    ):
-        content[name] = values.tolist()
     return json.dumps(content, indent=1) + "\n"
 
 
@@ -232,9 +229,7 @@ def ros2_client(motions: Mapping[str, Motion], robot: Robot) -> str:
     )
     rows = ["MOTIONS = {"]
     for name, motion in motions.items():
-        table = np.column_stack(
-            [motion.t, motion.q, motion.dq, motion.ddq]
-        ).tolist()
+        table = np.column_stack([*vars(motion).values()]).tolist()
         rows += [
             f"    {name!r}: [",
             *(f"        {row}," for row in table),
@@ -346,8 +341,7 @@ def urscript(motion: Motion, robot: Robot) -> str:
 def npz(motion: Motion, robot: Robot) -> bytes:
     """A NumPy archive with ``t, q, dq, ddq, joints``; exact, and readable without pickle."""
     buffer = io.BytesIO()
-    arrays = {name: getattr(motion, name) for name in ("t", *_KINDS)}
-    np.savez_compressed(buffer, **arrays, joints=np.array(robot.joints))
+    np.savez_compressed(buffer, **vars(motion), joints=np.array(robot.joints))
     return buffer.getvalue()
 
 

@@ -9,7 +9,7 @@ from nowhere between two steps.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,9 +44,7 @@ class TorquePeaks:
     def above(self, share: float) -> TorquePeaks:
         """Those whose use exceeds a share."""
         k = self.use > share
-        return TorquePeaks(
-            *(getattr(self, field.name)[k] for field in fields(self))
-        )
+        return TorquePeaks(*(part[k] for part in vars(self).values()))
 
     def motion(self, problem: DesignProblem, z: Array) -> Motion:
         """The motion at the instants, creeping where it turns."""
@@ -99,17 +97,14 @@ def _smooth_peaks(
 ) -> Candidates:
     """Peaks with friction as if every joint moved to this side; else they count if it is slow."""
     use = np.abs(tau) / problem.torque_bound
-    before = np.roll(use, 1, axis=0)
-    after = np.roll(use, -1, axis=0)
+    before, after = _beside(use)
     k, joint = np.nonzero((use >= before) & (use > after))
     rise = after[k, joint] - before[k, joint]
     bend = before[k, joint] - 2 * use[k, joint] + after[k, joint]
     shift = np.clip(-0.5 * rise / np.minimum(bend, -1e-300), -0.5, 0.5)
     t = problem.instants[k] + shift * problem.period / len(use)
     along = side * _own(problem, z, t, joint, 1)
-    weight = np.clip(
-        1 + np.minimum(along, 0.0) / _slow_speed(problem.robot)[joint], 0.0, 1.0
-    )
+    weight = np.clip(1 + along / _slow_speed(problem.robot)[joint], 0.0, 1.0)
     return t, joint, np.where(along < 0, side, 0.0), weight
 
 
@@ -130,8 +125,7 @@ def _almost_turns(problem: DesignProblem, z: Array, dq: Array) -> Candidates:
     """The other side where a joint is slow: at the samples, and where it is slowest."""
     size = np.abs(dq)
     n = len(dq)
-    before = np.roll(dq, 1, axis=0)
-    after = np.roll(dq, -1, axis=0)
+    before, after = _beside(dq)
     slowest = (size <= np.abs(before)) & (size < np.abs(after))
     k, joint = np.nonzero(slowest & (dq * before > 0) & (dq * after > 0))
     t = _polished(problem, z, k * problem.period / n, joint, 2)
@@ -148,6 +142,11 @@ def _almost_turns(problem: DesignProblem, z: Array, dq: Array) -> Candidates:
         side,
         np.clip(1 - short / _slow_speed(problem.robot)[joint], 0.0, 1.0),
     )
+
+
+def _beside(values: Array) -> tuple[Array, Array]:
+    """Values at the instants before and after each, over a period."""
+    return np.roll(values, 1, axis=0), np.roll(values, -1, axis=0)
 
 
 def _slow_speed(robot: Robot) -> Array:
@@ -291,8 +290,7 @@ def clearance_rows(
     q = problem.grid_bases[0] @ z
     distance = problem.scene.distances(q)
     use = 1 + (problem.required - distance) / SCALE
-    before = np.roll(distance, 1, axis=0)
-    after = np.roll(distance, -1, axis=0)
+    before, after = _beside(distance)
     rows = []
     uses = []
     for k, pair in np.argwhere(

@@ -30,7 +30,7 @@ class Played:
         complete: Whether every file that was asked for is there.
     """
 
-    files: dict[str, str | bytes] = field(default_factory=dict)
+    files: dict[str, str | bytes]
     notes: list[str] = field(default_factory=list)
     first_run: dict[str, float] | None = None
     complete: bool = True
@@ -39,11 +39,11 @@ class Played:
 def require_playable(
     robot: Robot,
     *,
-    start: Sequence[float] | None = None,
-    formats: Sequence[str] | None = None,
-    rate: float = 100.0,
-    repeat: int = 1,
-    speed: float | None = None,
+    start: Sequence[float] | None,
+    formats: Sequence[str] | None,
+    rate: float,
+    repeat: int,
+    speed: float | None,
 ) -> None:
     """Refuse, as BadInput or UnknownName, what `play` could not write of any design."""
     if not LOWEST_RATE <= rate <= HIGHEST_RATE:

@@ -1,7 +1,6 @@
 """A design as the noun that reports and files are made of."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -128,9 +127,6 @@ class Design(Shown):
 
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``; ``weakest`` have the least torque of their own after."""
-        names = [self.base.names[k] for k in self.base.columns]
-        before = self.before
-        after = self.after
         return {
             "verb": "design",
             **self.playback.result(),
@@ -146,11 +142,11 @@ class Design(Shown):
                 "lower_bound": None,
             },
             "condition_number_scaled": {
-                "initial": scaled_condition_number(before),
-                "final": scaled_condition_number(after),
+                "initial": scaled_condition_number(self.before),
+                "final": scaled_condition_number(self.after),
             },
             "joint_weights": self.information.weights.tolist(),
-            "weakest": self._weakest(names),
+            "weakest": self._weakest(),
             "limit_use": self.use,
             "starts": [
                 {
@@ -218,7 +214,7 @@ class Design(Shown):
         ]
         return ("limit", "joint that comes closest", "share of it", "at [s]"), rows
 
-    def _weakest(self, names: Sequence[str]) -> list[dict[str, Any]]:
+    def _weakest(self) -> list[dict[str, Any]]:
         base = self.base
         robot = self.robot
         root = math.sqrt(max(_DENSE, round(_DENSE_HZ * self.duration)) + 1)
@@ -232,7 +228,7 @@ class Design(Shown):
         units = column_units(robot, effects)
         rows = []
         for k in np.argsort(lone["final"], kind="stable")[:_WEAKEST]:
-            row = {"name": names[k], "expression": base.expressions[k]}
+            row = {"name": base.leading[k], "expression": base.expressions[k]}
             row |= {"unit": units[base.columns[k]], "value": float(beta[k])}
             for when, size in lone.items():
                 row[f"std_per_unit_noise_{when}"] = 1 / (root * float(size[k]))

@@ -525,21 +525,18 @@ class _MultiStart:
         return [Task(state, pace=CONVERGENCE.fine_pace) for state in slow]
 
     def work(self, tasks: Sequence[Task]) -> None:
-        for state in _results(self.problem, tasks, self.effort):
+        effort = self.effort
+        each = [
+            (self.problem, task, effort.seed, effort.deadline) for task in tasks
+        ]
+        for state in unordered(_perform, each, effort.jobs, effort.client):
             self.states[state.index] = state
-            self.effort.report(self.problem, tuple(self.states.values()))
+            effort.report(self.problem, tuple(self.states.values()))
 
     def end(self, status: str, states: Iterable[SearchState]) -> None:
         for state in states:
             if not state.ended:
                 self.states[state.index] = replace(state, status=status)
-
-
-def _results(
-    problem: DesignProblem, tasks: Sequence[Task], effort: Effort
-) -> Iterable[SearchState]:
-    each = [(problem, task, effort.seed, effort.deadline) for task in tasks]
-    return unordered(_perform, each, effort.jobs, effort.client)
 
 
 @on_one_thread

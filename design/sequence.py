@@ -271,7 +271,7 @@ def _resting_pose(robot: Robot, scene: Scene | None, clearance: float) -> Array:
     pose = np.where((low <= 0) & (high >= 0), 0.0, middle)
     if scene is None:
         return read_only(pose)
-    drawn = robot.random_motion(np.random.default_rng(0), _POSES)[0]
+    drawn = robot.random_motion(0, _POSES)[0]
     for candidate in (pose, *drawn):
         if scene.distances(candidate[None]).min(initial=np.inf) > 2 * clearance:
             return read_only(candidate)

@@ -199,6 +199,12 @@ class Path:
         return self.spline(np.asarray(s, float), order)
 
     @property
+    def travel(self) -> Array:
+        """Distances of the joints between poses along the path, shape (m, nv) [rad or m]."""
+        coarse = self(np.linspace(0.0, 1.0, 20 * self.pieces + 1))
+        return np.abs(np.diff(coarse, axis=0))
+
+    @property
     def dof(self) -> int:
         """Number of joints."""
         return int(self.spline.c.shape[1])
@@ -254,10 +260,7 @@ def _free_path(
 def _obstruction(
     robot: Robot, path: Path, scene: Scene | None, clearance: float
 ) -> str | None:
-    coarse = path(np.linspace(0.0, 1.0, 20 * path.pieces + 1))
-    travel = np.abs(np.diff(coarse, axis=0)) / np.where(
-        robot.revolute, *_RESOLUTION
-    )
+    travel = path.travel / np.where(robot.revolute, *_RESOLUTION)
     s = np.linspace(0.0, 1.0, max(8, int(np.ceil(travel.max(axis=1).sum()))) + 1)
     q = path(s)
     if unheld := _unheld(robot, _creeping(q, path(s, 1))):
@@ -434,9 +437,7 @@ def time_optimal(robot: Robot, path: Path, *, name: str = "timing") -> Profile:
     limits = robot.limits
     unlimited = np.isinf(limits.acceleration) & np.isinf(limits.torque)
     acceleration = np.where(unlimited, DEFAULT_ACCELERATION, limits.acceleration)
-    way = np.abs(
-        np.diff(path(np.linspace(0, 1, 20 * path.pieces + 1)), axis=0)
-    ).sum(axis=0)
+    way = path.travel.sum(axis=0)
     finite = np.where(np.isinf(acceleration), DEFAULT_ACCELERATION, acceleration)
     unit = float(
         np.max(np.maximum(way / limits.velocity, 2 * np.sqrt(way / finite)))

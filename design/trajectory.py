@@ -239,7 +239,7 @@ class Trajectory(_Curve, Shown):
         t = np.arange(repetitions * n + 1.0) * (self.duration / n)
         once = self.at(np.linspace(0.0, self.duration, n + 1))
         k = np.append(np.tile(np.arange(n), repetitions), n)
-        return Motion(t, once.q[k], once.dq[k], once.ddq[k])
+        return replace(once[k], t=t)
 
     def slowed(self, speed: float) -> Trajectory:
         """The same path at a share of the speed."""
