@@ -41,14 +41,14 @@ from excitant.identify.tables import of_bodies
 from excitant.robots.effects import (
     Effect,
     effect_entries,
-    plain,
     turning,
     turning_speed,
 )
+from excitant.robots.limits import LIMIT_NAMES
 from excitant.robots.motion import Array, Mask
 from excitant.robots.parameters import inertia
 from excitant.robots.robot import Robot, own_axes
-from excitant.robots.urdf_writer import current_urdf, numbers_text
+from excitant.robots.urdf_writer import LIMIT_KEYS, current_urdf, numbers_text
 
 if TYPE_CHECKING:
     from excitant.identify.estimate import Estimate
@@ -120,8 +120,12 @@ def model_files(
     files = {}
     if "urdf" in own:
         files[f"{stem}.urdf"] = _urdf(own["urdf"], remark("urdf"))
-    links = remark("urdf") if alone else _links_of(yaml_name)
-    files[description] = _urdf(held_by(told, "urdf"), links)
+    links = [
+        f"links and joints of {yaml_name}",
+        "no model without the effects there",
+    ]
+    words = remark("urdf") if alone else _commented(links)
+    files[description] = _urdf(held_by(told, "urdf"), words)
     files[yaml_name] = _yaml(arm, {"model": description} | beside, gains)
     if unknown := _unknown(arm, known):
         files[yaml_name] = (
@@ -191,7 +195,7 @@ def lacking(arm: Robot, file_format: str) -> list[str]:
     """What a file cannot hold of an arm whose bodies are `folded`, in words with the joints."""
     missing = dict[str, list[str]]()
     for effect in arm.effects:
-        name = plain(effect.name)
+        name = effect.label
         values = effect.values or ()
         joints = list(effect.joints)
         below = list[str]()
@@ -302,14 +306,6 @@ def _commented(lines: Sequence[str]) -> str:
     return f"{text}\n  "
 
 
-def _links_of(complete: str) -> str:
-    lines = [
-        f"links and joints of {complete}",
-        "no model without the effects there",
-    ]
-    return _commented(lines)
-
-
 def _urdf(held: Robot, remark: str) -> str:
     root = ET.fromstring(current_urdf(held))
     root.insert(0, ET.Comment(remark))
@@ -318,8 +314,7 @@ def _urdf(held: Robot, remark: str) -> str:
 
 def _yaml(arm: Robot, beside: Mapping[str, str], gains: Array | None) -> str:
     limits = arm.limits
-    names = ["position", "velocity", "acceleration", "torque"]
-    names += ["jerk"] if np.isfinite(limits.jerk).any() else []
+    names = LIMIT_NAMES[: limits.orders + 1]
     content = {
         **beside,
         "joints": list(arm.joints),
@@ -448,9 +443,8 @@ def _sdf(arm: Robot, remark: str) -> str:
     _add(mount, "child", links[0])
     for j, (link, joint) in enumerate(zip(links[1:], joints, strict=True)):
         _sdf_link(model, link, joint, inertia(arm.phi[10 * j : 10 * j + 10]))
-        (low, high) = arm.limits.position[j]
         limits = arm.limits
-        bounded = bool(np.isfinite([low, high]).all())
+        bounded = np.isfinite(limits.position[j]).all()
         kind = (
             "prismatic"
             if not arm.revolute[j]
@@ -466,10 +460,8 @@ def _sdf(arm: Robot, remark: str) -> str:
         axis = _add(element, "axis")
         _add(axis, "xyz", own_axes(arm)[j])
         limit = _add(axis, "limit")
-        ends = (low, high, limits.torque[j], limits.velocity[j])
-        for key, value in zip(
-            ("lower", "upper", "effort", "velocity"), ends, strict=True
-        ):
+        ends = (*limits.position[j], limits.torque[j], limits.velocity[j])
+        for key, value in zip(LIMIT_KEYS, ends, strict=True):
             if np.isfinite(value):
                 _add(limit, key, value)
         dynamics = _add(axis, "dynamics")
@@ -736,8 +728,8 @@ def published(
     *,
     formats: Sequence[str] = USUAL,
     gains: Array | None = None,
-    force: bool = False,
-    against: Sequence[Objection] = (),
+    force: bool,
+    against: Sequence[Objection],
 ) -> Publication:
     """The same of any model, whose files are named by its kind, ``identified`` or ``extended``.
 

@@ -172,13 +172,13 @@ def known_rows(
     }
     mass_rows = {"total_mass": np.sum(list(of_link.values()), axis=0)} | of_link
     rows = [np.zeros((0, p))]
-    values = [np.zeros(0)]
+    values = list[float]()
     restrictions: list[Restriction] = []
     for name, mass in knowledge.masses.items():
         row = mass_rows[name][None]
         if mass.std:
             rows.append(row / mass.std)
-            values.append(np.array([mass.value / mass.std]))
+            values.append(mass.value / mass.std)
         else:
             what = f"{name} = {mass.value:g} kg"
             restrictions.append(
@@ -194,7 +194,7 @@ def known_rows(
         restrictions += [
             replace(each, G=each.G @ place) for each in _within(box, name)
         ]
-    return np.vstack(rows), np.concatenate(values), restrictions
+    return np.vstack(rows), np.array(values, float), restrictions
 
 
 def _within(box: Box, name: str) -> Iterator[Restriction]:

@@ -1,8 +1,8 @@
 from . import plot
 from .nouns import report, save
 from .pages import SavedRun, compare, page_of
-from .render import brief, html, summary, table_lines
-from .run import as_saved, load_run, prepare, read_result, save_run
+from .render import brief, html, load_templates, summary, table_lines
+from .run import as_saved, load_run, read_result, save_run
 
 __all__ = [
     "SavedRun",
@@ -11,9 +11,9 @@ __all__ = [
     "compare",
     "html",
     "load_run",
+    "load_templates",
     "page_of",
     "plot",
-    "prepare",
     "read_result",
     "report",
     "save",

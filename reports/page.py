@@ -106,8 +106,8 @@ class Notes:
     """
 
     sentences: Sequence[str]
-    tone: str = PLAIN
-    brief: str | None = None
+    tone: str
+    brief: str | None
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class Moment:
 
     t: float
     words: str
-    tone: str = PLAIN
+    tone: str
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class Player:
     quantities: Sequence[str]  # whose share of the limit is shown
     moments: Sequence[Moment]
     caption: str
-    legend: Sequence[Key] = ()
+    legend: Sequence[Key]
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class Section:
     title: str
     lead: str
     parts: Sequence[Folded]
-    brief: Brief = ()
+    brief: Brief
 
 
 @dataclass(frozen=True)

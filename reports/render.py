@@ -84,7 +84,7 @@ def _template(name: str) -> str:
 
 
 def load_templates() -> None:
-    """Compile all templates, each of which else is when a page has it first."""
+    """Compile all templates: work that is interrupted and saves what it has ends sooner."""
     for name in (_PAGE, *map(_template_of, get_args(Block))):
         _environment().get_template(name)
 

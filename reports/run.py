@@ -16,7 +16,7 @@ from excitant.files import read_bytes, write_folder
 from excitant.identify.reading.arrays import read_arrays
 from excitant.reports.page import Page
 from excitant.reports.pages import page_of
-from excitant.reports.render import html, load_templates, summary
+from excitant.reports.render import html, summary
 from excitant.results import Result, plain_of, record_of
 from excitant.robots.motion import Array
 from excitant.robots.schema import finite, parsed_json
@@ -29,11 +29,6 @@ REPORT = "report.html"
 # values; longer arrays are saved in single precision where that loses nothing
 _LONG = 1000
 _SINGLE = 1e-6  # of an array's range: error allowed to single precision
-
-
-def prepare() -> None:
-    """Load what saving a run needs: work that is interrupted and saves what it has ends sooner."""
-    load_templates()
 
 
 def save_run(

@@ -86,9 +86,9 @@ def curve(
 
 
 def curves(
-    series: Series, joint: int, first: str, *keys: str
+    series: Series, joint: int | None, first: str, *keys: str
 ) -> list[Array | None]:
-    """Columns of a joint: the first, and those of the others that have as many rows."""
+    """Columns of a joint, if one is named: the first, and of the others those of as many rows."""
     known = curve(series, first, joint)
     rows = -1 if known is None else len(known)
     return [known, *(curve(series, key, joint, rows) for key in keys)]

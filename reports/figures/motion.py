@@ -68,7 +68,7 @@ _SAMPLED = (
 class Limits:
     """Limits of a motion's joints by quantity, what is certified of it, and which joints turn."""
 
-    values: Mapping[str, list[Any] | None] | None = None
+    values: Mapping[str, list[Any] | None] | None
     certified: Mapping[str, Sequence[Certified | None]] | None = None
     revolute: Sequence[bool] = ()
 

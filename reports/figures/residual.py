@@ -86,10 +86,9 @@ def evidence_figure(
     index: int, finding: Finding, series: Series, unit: str
 ) -> Figure | None:
     """Residual before an effect was added, over the quantity that shows it, and the fit."""
-    rows = len(np.atleast_1d(series.get(f"finding{index}_x", ())))
-    x, residual, fit = (
-        v.curve(series, f"finding{index}_{key}", rows=rows)
-        for key in ("x", "residual", "fit")
+    keys = ("x", "residual", "fit")
+    x, residual, fit = v.curves(
+        series, None, *(f"finding{index}_{k}" for k in keys)
     )
     if x is None or residual is None or len(_along(x, residual)[0]) < 2:
         return None

@@ -162,7 +162,7 @@ def _links(result: Robots) -> p.Table | None:
         )
 
     def moments(link: RobotLink) -> str:
-        return ", ".join(v.number(x) for x in v.reals(link.principal_moments))
+        return ", ".join(map(v.number, v.reals(link.principal_moments)))
 
     def milli(value: Number) -> str:
         return v.number(1e3 * (value or 0.0))

@@ -299,16 +299,11 @@ def _parameters(examined: Sequence[Examined]) -> bytes:
     """All base parameters of all data sets with their 95 % intervals, as a Parquet file."""
     import pyarrow.parquet
 
-    schema = pyarrow.schema(
-        [
-            ("data_set", pyarrow.string()),
-            ("arm", pyarrow.string()),
-            ("date", pyarrow.date32()),
-        ]
-        + [(name, pyarrow.string()) for name in ("type", "joint", "parameter")]
-        + [(name, pyarrow.float64()) for name in ("value", "std", "low", "high")]
-        + [("unit", pyarrow.string())]
-    )
+    words = ("data_set", "arm", "date", "type", "joint", "parameter")
+    numbers = dict.fromkeys(("value", "std", "low", "high"), pyarrow.float64())
+    kinds = dict.fromkeys(words, pyarrow.string()) | numbers
+    kinds |= {"date": pyarrow.date32(), "unit": pyarrow.string()}
+    schema = pyarrow.schema(kinds)
     buffer = io.BytesIO()
     with pyarrow.parquet.ParquetWriter(buffer, schema) as writer:
         for start in range(0, len(examined), _AT_ONCE):

@@ -107,7 +107,7 @@ def design(
     ex.design.require_playable(arm, **vars(play))
     # an interrupted search ends the sooner
     import_module("scipy.interpolate")
-    ex.reports.prepare()
+    ex.reports.load_templates()
     if link_by_link:
         _design_link_by_link(arm, search, surroundings, play, run)
         return 0

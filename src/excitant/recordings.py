@@ -247,8 +247,7 @@ def go(
         recordings: Parquet, CSV, JSON, NPZ, MAT, ROS bag or MCAP, or folders of them; all of the
             folder or bag when none is named.
     """
-    dataset = part.dataset(robot, data.map)
-    read = data.read(dataset, recordings)
+    read = data.read(part.dataset(robot, data.map), recordings)
     with progress_bar("go") as advance, read.blamed():
         examined = ex.analysis.examine(
             read.robot,
@@ -292,9 +291,8 @@ def identify(
     """
     fit.require(load)
     model.require()
-    dataset = part.dataset(robot, data.map)
     others = [*(load.unloaded or ()), *(load.payload_recording or ())]
-    read = data.read(dataset, recordings, others)
+    read = data.read(part.dataset(robot, data.map), recordings, others)
     return identify_readings(read, run, data.cutoff, fit, model, load)
 
 
@@ -390,8 +388,7 @@ def analyze(
     notes = list[str]()
     entries = dict[str, Any]()
     if recording:
-        dataset = part.dataset(robot, data.map)
-        read = data.read(dataset, recording, held=False)
+        read = data.read(part.dataset(robot, data.map), recording, held=False)
         arm = read.robot
         entries = read.entries
         estimate, brief = ex.api.estimate_shown(
@@ -443,8 +440,7 @@ def diagnose(
         force: Publish the extended model even if the given one, or none, predicts the hold-out
             better.
     """
-    dataset = part.dataset(robot, data.map)
-    read = data.read(dataset, recordings)
+    read = data.read(part.dataset(robot, data.map), recordings)
     return diagnose_readings(
         read,
         run,
@@ -460,7 +456,7 @@ def diagnose_readings(
     run: Run,
     cutoff: float | None = None,
     *,
-    experiments: bool = True,
+    experiments: bool,
     experiment_time: float | None = None,
     force: bool = False,
 ) -> int:
