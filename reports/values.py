@@ -14,7 +14,7 @@ Series = Mapping[str, Array]
 
 NONE = "–"
 _BEYOND = 1e200  # no quantity is as large: what is made of it would overflow
-_FEW = 3  # joints that are told by name
+FEW = 3  # joints or links that are told by name
 SINGULAR = 1e8  # condition number: half of the digits of a normal equation are lost
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -198,7 +198,7 @@ def listing(names: Sequence[str], none: str = NONE) -> str:
 def few(joints: Sequence[str]) -> str:
     """Joints by name, or how many they are; empty without any."""
     count = len(joints)
-    return listing(joints, "") if count <= _FEW else f"{count} joints"
+    return listing(joints, "") if count <= FEW else f"{count} joints"
 
 
 def sentence(words: str) -> str:

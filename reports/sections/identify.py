@@ -36,7 +36,6 @@ CUTOFF_REMARK = (
     "errors are judged below it; measured and predicted torque are filtered alike"
 )
 _ENOUGH = 1.0  # excitation at which the last seconds say as much as the prior
-_FEW = 3  # links that moved are told by name
 _MESSAGES = 8  # shown without opening a fold
 CURVES = Curves(
     "given",
@@ -111,8 +110,8 @@ def _brief(result: Identify) -> p.Brief:
     physical = "physically consistent" if consistent else "not physical"
     error = f"hold-out error {errors} (nrmse, {worst}), {physical}"
     moved = [row.moved for row in result.links if row.moved and not result.refusal]
-    if len(moved) > _FEW:
-        moved = [*moved[: _FEW - 1], f"and {len(moved) - _FEW + 1} more"]
+    if len(moved) > v.FEW:
+        moved = [*moved[: v.FEW - 1], f"and {len(moved) - v.FEW + 1} more"]
     lines = [("" if k else "moved", words) for k, words in enumerate(moved)]
     holdout = f"{result.holdout}{_least_judged(result)}"
     files = refitted_line(result.exported)
