@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -45,10 +45,12 @@ from excitant.robots.effects import (
     merged,
 )
 from excitant.robots.effects.body import GivenInertias, InertialParameters
-from excitant.robots.motion import Array, root_mean_square
+from excitant.robots.motion import Array, Indices, root_mean_square
 from excitant.robots.parameters import from_pseudo_inertia
 from excitant.robots.robot import Robot
 from excitant.robots.torque import coefficients, column_names, effect_values
+
+NO_COVARIANCE = np.zeros((0, 0))
 
 
 class HoldoutScale(NamedTuple):
@@ -67,6 +69,10 @@ class HoldoutScale(NamedTuple):
     def gain_std(self) -> float:
         """Standard error of the gain."""
         return 2 * self.std * self.power
+
+    def most(self, deviations: float) -> float:
+        """The gain if it is larger by so many standard errors."""
+        return self.gain + deviations * self.gain_std
 
 
 def holdout_scale(error: Array, torque: Array) -> HoldoutScale:
@@ -124,6 +130,11 @@ class Finding:
     instead: Robot | None = None
 
     @property
+    def change(self) -> Array:
+        """How far its coefficients are off the nominal ones, shape (k,)."""
+        return np.array(self.effect.values or ()) - self.nominal
+
+    @property
     def total(self) -> Array:
         """Covariance of its coefficients with their errors by the gains, shape (k, k)."""
         by_gains = np.outer(self.by_gains, self.by_gains)
@@ -168,15 +179,15 @@ class Finding:
     @property
     def is_nominal(self) -> bool:
         """Whether all its values are the nominal ones to two standard deviations."""
-        change = np.abs(np.array(self.effect.values or ()) - self.nominal)
+        change = np.abs(self.change)
         threshold = CONFIRMATION.deviations * self.std
         return len(change) > 0 and bool((change < threshold).all())
 
     def by_chance(self, level: float) -> bool:
         """Whether values as far from the nominal ones come by chance that often, or more (χ²)."""
-        change = np.array(self.effect.values or ()) - self.nominal
         if not self.total.any():
             return False
+        change = self.change
         distance = float(change @ scipy.linalg.pinvh(self.total) @ change)
         return distance < float(scipy.special.chdtri(len(change), level))
 
@@ -189,9 +200,7 @@ class Finding:
     @property
     def refuted(self) -> bool:
         """Whether the error on the hold-out is significantly larger with it."""
-        scale = self.scale
-        largest = scale.gain + CONFIRMATION.deviations * scale.gain_std
-        return largest < -CONFIRMATION.floor
+        return self.scale.most(CONFIRMATION.deviations) < -CONFIRMATION.floor
 
     @property
     def matters(self) -> bool:
@@ -242,8 +251,9 @@ class Holdout(HoldOut):
         """
         measured = self.series.measured
         weight = (self.series.moves | at_rest) / measured.std(axis=0)
-        error = (((measured - predicted) * weight) ** 2).sum()
-        other = (((measured - than) * weight) ** 2).sum()
+        error, other = (
+            (((measured - each) * weight) ** 2).sum() for each in (predicted, than)
+        )
         return bool(error > (1 + share) * other)
 
     def rms_like(self, error: Array, joints: Sequence[int], lead: int) -> float:
@@ -268,9 +278,8 @@ def holdout_of(
     given = mounted
     if nominal is not robot:
         given = predicted_torque(nominal, segments) / gains
-    measured = series(segments)
     return Holdout(
-        segments, measured, gains, given, given, drive, rows, mounted, floor
+        segments, series(segments), gains, given, given, drive, rows, mounted, floor
     )
 
 
@@ -320,11 +329,6 @@ class Extension:
                 fit = without
         return fit
 
-    @property
-    def values(self) -> Mapping[str, float]:
-        """Coefficients of the model's own effects by name."""
-        return effect_values(self.model)
-
     def places(self, effect: Effect) -> list[int]:
         """Places of an effect's coefficients among the parameters, none of those of links."""
         names = [p.name for p in effect.parameters(self.model)]
@@ -352,24 +356,24 @@ class Extension:
                 covariance += np.outer(there - here, there - here)
             at = self.places(cause.effect)[: len(cause.covariance)]
             if cause.downgrade and own and at:
-                change = np.subtract(cause.effect.values or (), cause.nominal)
                 inverse = scipy.linalg.pinvh(self.covariance[np.ix_(at, at)])
-                shift = self.covariance[np.ix_(own, at)] @ inverse @ change
+                shift = self.covariance[np.ix_(own, at)] @ inverse @ cause.change
                 covariance += np.outer(shift, shift)
         return replace(finding, covariance=covariance)
 
 
 def _is_one_friction(one: Effect, other: Effect) -> bool:
-    same = bool({*one.joints} & {*other.joints})
-    return same and one.family == other.family == "friction"
+    apart = {*one.joints}.isdisjoint(other.joints)
+    return not apart and one.family == other.family == "friction"
 
 
 def unextended(evidence: Evidence, holdout: Holdout) -> Extension:
     """The nominal model as it is set up."""
     observed = holdout.observed
-    none = np.zeros((0, 0))
     mounted = holdout.mounted
-    return Extension(evidence, (), observed.robot, (), none, observed, mounted)
+    return Extension(
+        evidence, (), observed.robot, (), NO_COVARIANCE, observed, mounted
+    )
 
 
 class _Rows(NamedTuple):
@@ -553,9 +557,7 @@ class Extender:
 
 
 def _effects(
-    robot: Robot,
-    chosen: Sequence[Candidate],
-    hidden: Sequence[Effect] = (),
+    robot: Robot, chosen: Sequence[Candidate], hidden: Sequence[Effect]
 ) -> list[Effect]:
     present = {p.name for p in coefficients(robot, robot.effects)}
     bodies = [c.effect for c in chosen if c.effect.role == "body"]
@@ -625,11 +627,9 @@ def confirmed(extender: Extender, chosen: Sequence[Candidate]) -> Extension:
 def _weakest(
     robot: Robot, fit: Extension, needed: set[Candidate]
 ) -> Candidate | None:
-    for k in np.argsort(
-        [finding.margin for finding in fit.findings], kind="stable"
-    ):
-        candidate = fit.chosen[k]
-        if fit.findings[k].significant:
+    pairs = zip(fit.findings, fit.chosen, strict=True)
+    for finding, candidate in sorted(pairs, key=lambda pair: pair[0].margin):
+        if finding.significant:
             return None
         rest = [c for c in fit.chosen if c is not candidate]
         if candidate not in needed and not underlies(robot, rest, candidate):
@@ -652,10 +652,9 @@ def _refitted(fit: Extension, holdout: Holdout, effect: Effect) -> Finding:
     """The change of an effect's values, or of links, from the nominal ones."""
     robot = holdout.robot
     if effect.physics.amends:
-        force = fit.values[effect.parameters(robot)[0].name]
-        torque = fit.observed.columns(effect) @ np.array([force]) / holdout.gains
-        law, none = effect.with_values(()), np.zeros((0, 0))
-        return finding_of(fit, holdout, law, torque, (), none)
+        force = coefficients_of(fit.model, robot, effect)[:1]
+        torque = fit.observed.columns(effect) @ force / holdout.gains
+        return finding_of(fit, holdout, effect.with_values(()), torque)
     values, nominal, covariance = _coefficients(robot, fit, effect)
     torque = fit.observed.columns(effect) @ (values - nominal) / holdout.gains
     changed = effect.with_values(values.tolist())
@@ -721,8 +720,8 @@ def finding_of(
     holdout: Holdout,
     effect: Effect,
     torque: Array,
-    nominal: Sequence[float],
-    covariance: Array,
+    nominal: Sequence[float] = (),
+    covariance: Array = NO_COVARIANCE,
 ) -> Finding:
     """A cause with its gain on the hold-out, where it makes a torque (n, nv) [torque unit]."""
     robot = holdout.robot
@@ -779,8 +778,7 @@ def _contradicted(robot: Robot, effect: Effect, error: Array, torque: Array) -> 
     against = []
     for j, joint in enumerate(robot.joints):
         scale = holdout_scale(error[:, [j]], torque[:, [j]])
-        largest = scale.gain + CONFIRMATION.contradicted * scale.gain_std
-        if largest < -CONFIRMATION.floor:
+        if scale.most(CONFIRMATION.contradicted) < -CONFIRMATION.floor:
             against.append(joint)
     if not against:
         return ""
@@ -818,9 +816,9 @@ def coefficients_of(model: Robot, robot: Robot, effect: Effect) -> Array:
     return np.array([values.get(p.name, 0.0) for p in effect.parameters(robot)])
 
 
-def _inertial_rows(robot: Robot, effect: Effect) -> Array:
-    links = [np.arange(10 * k, 10 * k + 10) for k in effect.rows(robot)]
-    return np.concatenate(links)
+def _inertial_rows(robot: Robot, effect: Effect) -> Indices:
+    places = np.arange(robot.phi.size).reshape(-1, 10)
+    return places[effect.rows(robot)].ravel()
 
 
 def errors_by_gains(
@@ -835,13 +833,13 @@ def errors_by_gains(
     values = np.array(effect.values or ())
     largest = np.maximum(np.abs(values), np.abs(finding.nominal))
     if effect.role != "torque" and len(values):
-        links = robot.phi.reshape(-1, 10)[list(effect.rows(robot))]
-        largest = np.maximum(largest, np.abs(links).ravel())
+        links = robot.phi[_inertial_rows(robot, effect)]
+        largest = np.maximum(largest, np.abs(links))
     size = np.copysign(largest, values)
     if drive is None:
         return 0 * size
     if effect.role == "torque" and effect.joints:
-        rows = [robot.joint_index(joint) for joint in effect.joints]
+        rows = effect.rows(robot)
         spread = np.sqrt(drive.covariance[rows, rows].max())
     else:
         spread = drive.scale_std

@@ -154,7 +154,7 @@ class Diagnosis(Shown):
     @cached_property
     def simulation(self) -> Accuracy:
         """Accuracy of the nominal model on the hold-out."""
-        return self.holdout.series.accuracy(self.holdout.nominal)
+        return self.holdout.nominal_accuracy
 
     @cached_property
     def extended(self) -> Accuracy:
@@ -235,12 +235,16 @@ class Diagnosis(Shown):
 
     def _table(self) -> Table:
         heads = ("cause", "joints", "verdict", "rms error without it", "with it")
-        rows = []
-        for f in self.findings:
-            joints = ", ".join(f.effect.joints)
-            row = (f.effect.name, joints, f.verdict, f.rms_before, f.rms_after)
-            rows.append(row)
-        return heads, rows
+        return heads, [
+            (
+                f.effect.name,
+                ", ".join(f.effect.joints),
+                f.verdict,
+                f.rms_before,
+                f.rms_after,
+            )
+            for f in self.findings
+        ]
 
 
 @on_one_thread
@@ -580,8 +584,7 @@ def _instead(
         return fit.model
     if -scale.gain * left <= CONFIRMATION.floor * explained:
         return model
-    worse = scale.gain + rival.tie * scale.gain_std < 0
-    return None if worse else model
+    return None if scale.most(rival.tie) < 0 else model
 
 
 class _Identified(NamedTuple):
@@ -688,8 +691,7 @@ def _of_faults(
     both = min(len(error), len(repaired))
     torque[:both] = error[:both] - repaired[:both]
     for fault in mounted.faults:
-        none = np.zeros((0, 0))
-        finding = finding_of(fit, holdout, fault, torque, (), none)
+        finding = finding_of(fit, holdout, fault, torque)
         # the nominal model's own error is that on the repaired data
         ratio = finding.rms_after / max(finding.rms_before, 1e-300)
         yield replace(finding, explained=float(1 - ratio**2))
@@ -712,8 +714,7 @@ def _iterated(first: Extender, excluded: frozenset[Key]) -> Extension:
     extender = first
     for _ in range(SEARCH.rounds):
         if best is not None:
-            unused = idle(best.evidence, best.chosen)
-            extender = extender.by(best.model, unused)
+            extender = extender.by(best.model, idle(best.evidence, best.chosen))
             evidence = gather(
                 robot,
                 extender.train,

@@ -17,6 +17,7 @@ from excitant.analysis.explanation import (
     at_rest,
     coefficients,
     explained_by,
+    joints_of,
     placeholders,
     rivals_of,
     sentence,
@@ -210,9 +211,7 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> Entry:
     rms = diagnosis.holdout.series.rms(torque).tolist()
     entry: Entry = {
         "effect": "friction" if several else kinds[0],
-        "joints": list(
-            dict.fromkeys(joint for f in group for joint in f.effect.joints)
-        ),
+        "joints": joints_of(group),
         "sentence": sentence(group, diagnosis),
         "parameters": [p for f in group for p in _parameters(f, diagnosis)],
         "sizes": [s.entry() for f in group for s in sizes(f, diagnosis)],

@@ -90,9 +90,7 @@ class Contest:
     @cached_property
     def causes(self) -> dict[Effect, slice]:
         """Columns of all causes in all their shapes, after those of the given values."""
-        start = 10 * self.robot.nv + sum(
-            len(e.values or ()) for e in self.robot.effects
-        )
+        start = len(self.precision)
         columns: dict[Effect, slice] = {}
         for pair in self.pairs:
             shapes = *self._shapes(pair.found), *self._shapes(pair.rival)
@@ -174,17 +172,10 @@ class Contest:
         separations = []
         for pair, imitation in zip(self.pairs, self.imitations, strict=True):
             beside = self._beside(pair)
-            ways = []
-            if (
-                pair.found.name not in pair.rival.search.contains
-                or not imitation.any()
-            ):
-                ways.append((pair.found, np.array(pair.found.values), pair.rival))
-            if (
-                pair.rival.name not in pair.found.search.contains
-                and imitation.any()
-            ):
+            ways = [(pair.found, np.array(pair.found.values), pair.rival)]
+            if imitation.any():
                 ways.append((pair.rival, imitation, pair.found))
+                ways = [w for w in ways if w[0].name not in w[2].search.contains]
             both_ways = [self._apart(R, floor, beside, *way) for way in ways]
             separations.append(min(both_ways, key=lambda s: s.delta))
         return separations
@@ -255,7 +246,7 @@ class Contest:
         nominal = extended.by(self.robot)
         yield ActingColumns.of(links) @ self._metric
         for effect in self.robot.effects:
-            size = np.maximum(np.abs(np.array(effect.values or ())), 1e-9)
+            size = np.maximum(np.abs(effect.values or ()), 1e-9)
             yield cause_columns(effect, nominal, extended) @ np.diag(
                 self.tolerance[1] * size
             )

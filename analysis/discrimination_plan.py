@@ -395,7 +395,7 @@ def _contest(diagnosis: Diagnosis, pairs: Sequence[Pair]) -> Contest:
 def _pairs(diagnosis: Diagnosis, finding: Finding) -> list[Pair]:
     robot = diagnosis.robot
     effect = finding.effect
-    added = np.array(effect.values or ()) - np.array(finding.nominal)
+    added = finding.change
     # another law has no coefficients; set-ups that look the same do so for every motion
     if not added.any() or not all(r.candidate.size for r in finding.rivals):
         return []

@@ -190,7 +190,7 @@ class Evidence:
         """
         fit = self.fit(chosen)
         active = fit.active
-        at = np.arange(candidate.columns.start, candidate.columns.stop)
+        at = np.r_[candidate.columns]
         per_unit = np.zeros((len(self.moment), len(at)))
         per_unit[at] = np.eye(len(at))
         cross = fit.products[:, at]
@@ -207,7 +207,7 @@ class Evidence:
         more: Sequence[Candidate] = (),
     ) -> float:
         """Fall of J by adding a candidate to a set, and to some more that are none of it."""
-        columns = np.concatenate([np.r_[c.columns] for c in (*more, candidate)])
+        columns = np.r_[tuple(c.columns for c in (*more, candidate))]
         fit = self.fit(chosen)
         half = fit.half[:, columns]
         own = self.information(columns)
@@ -313,7 +313,7 @@ class Evidence:
     def block_errors(self, chosen: Sequence[Candidate]) -> Array:
         """Weighted squared error that a set leaves in each block of time, shape (blocks,)."""
         squares = (self.fit(chosen).residual ** 2 * self.weight).sum(axis=1)
-        return np.asarray(np.add.reduceat(squares, self.blocks), float)
+        return np.add.reduceat(squares, self.blocks)
 
     def separate_joints(
         self, chosen: Sequence[Candidate], cause: Candidate
@@ -355,10 +355,7 @@ class Evidence:
 
     def active(self, chosen: Sequence[Candidate]) -> Indices:
         """Active columns of a set: those of the nuisance and of its candidates."""
-        columns = (slice(0, self.nuisance), *(c.columns for c in chosen))
-        return np.concatenate(
-            [np.arange(s.start, s.stop, dtype=np.intp) for s in columns]
-        )
+        return np.r_[0 : self.nuisance, *(c.columns for c in chosen)]
 
 
 def _root(A: Array) -> Array:
@@ -366,23 +363,19 @@ def _root(A: Array) -> Array:
     unit = 1 / np.sqrt(np.diag(A))
     scaled = unit[:, None] * A * unit
     scaled.flat[:: len(A) + 1] += _ROUNDING
-    return np.asarray(np.linalg.cholesky(scaled) / unit[:, None], float)
+    return np.linalg.cholesky(scaled) / unit[:, None]
 
 
 def _halved(root: Array, right: Array) -> Array:
     """L⁻¹ times a right-hand side, L the root."""
-    half = scipy.linalg.solve_triangular(
+    return scipy.linalg.solve_triangular(
         root, right, lower=True, check_finite=False
     )
-    return np.asarray(half, float)
 
 
 def _by_root(root: Array, right: Array) -> Array:
     """A⁻¹ times a right-hand side, root that of A."""
-    pair = (root, True)
-    return np.asarray(
-        scipy.linalg.cho_solve(pair, right, check_finite=False), float
-    )
+    return scipy.linalg.cho_solve((root, True), right, check_finite=False)
 
 
 def _solved(A: Array, right: Array) -> Array:
@@ -515,13 +508,11 @@ def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
         np.arange(links, evidence.nuisance - len(evidence.gains)),
     )
     bodies, effects = (_typical_deviation(evidence, part, robot) for part in parts)
-    tolerance = (
-        EVIDENCE.placeholder if are_placeholders(robot) else bodies,
-        effects,
-    )
     precision = np.array(evidence.precision)
     precision[parts[0]] /= np.repeat(widened(robot, bodies), 10) ** 2
     precision[parts[1]] /= effects**2
+    given = EVIDENCE.placeholder if are_placeholders(robot) else bodies
+    tolerance = given, effects
     return reweighed(
         replace(evidence, precision=precision, tolerance=tolerance), []
     )

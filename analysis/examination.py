@@ -118,13 +118,12 @@ class Examination(Shown):
         )
         if self.recommended:
             missed = self.accuracies[self.use].nrmse > _POOR
-            poor = [j for j, yes in zip(joints, missed, strict=True) if yes]
+            poor = np.array(joints)[missed].tolist()
             advice = f"Use {self.recommended[0]}"
-            advice += (
-                f", except at {', '.join(poor)}, where it misses more than half"
-                if poor
-                else ""
-            )
+            if poor:
+                advice += (
+                    f", except at {', '.join(poor)}, where it misses more than half"
+                )
             advice += self._without
         return [
             f"Of the torque, the given model misses at most {given}, the identified one "

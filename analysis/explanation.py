@@ -36,6 +36,11 @@ def explained_by(group: Sequence[Finding]) -> float:
     return sum(finding.explained for finding in group)
 
 
+def joints_of(group: Sequence[Finding]) -> list[str]:
+    """Joints of findings, each once."""
+    return list(dict.fromkeys(joint for f in group for joint in f.effect.joints))
+
+
 def is_slight(group: Sequence[Finding]) -> bool:
     """Whether a group is undecided, without rivals, and within the misfit of larger causes."""
     undecided = all(f.downgrade and not f.rivals for f in group)
@@ -56,7 +61,7 @@ def lacking_friction(diagnosis: Diagnosis) -> frozenset[str]:
     threshold = VERDICT.lacking_friction * rms(added)
     lacking = rms(nominal / holdout.gains) < threshold
     joints = {joint for f in friction for joint in f.effect.joints}
-    joints &= {j for j, yes in zip(robot.joints, lacking, strict=True) if yes}
+    joints &= {*np.array(robot.joints)[lacking].tolist()}
     most = 2 * len(joints) > robot.nv > 2
     return frozenset(joints if most else ())
 
@@ -229,7 +234,7 @@ def unexplained(residuals: Sequence[Residual], diagnosis: Diagnosis) -> str:
 def sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     """A cause in words, with its size: ± one standard deviation, or its range over joints."""
     lead = group[0].effect
-    joints = list(dict.fromkeys(joint for f in group for joint in f.effect.joints))
+    joints = joints_of(group)
     if len({f.effect.name for f in group}) > 1:
         sure = {f.effect.name for f in group if f.verdict == "named"}
         named = [f for f in group if f.effect.name in sure]
@@ -303,7 +308,7 @@ def _ranges(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
         size_range = low if low == high else f"{low} to {high}"
         words = (name * (len(values) > 1), size_range, unit.removeprefix("1"))
         ranges.append(" ".join(filter(None, words)))
-    joints = list(dict.fromkeys(joint for f in group for joint in f.effect.joints))
+    joints = joints_of(group)
     few = 2 * len(joints) <= diagnosis.robot.nv
     where = f" at {', '.join(joints)}" if few else ""
     sizes_told = f" {', '.join(ranges)}" if ranges else ""
@@ -320,10 +325,10 @@ def _reservation(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
         rival = group[0].rivals[0].candidate.effect
         other = rival.words.noun(rival, diagnosis.robot)
         return f" {other[0].upper()}{other[1:]} would look the same."
-    joints = {joint for f in group for joint in f.effect.joints}
-    open_at = {joint for f in group if f.rivals for joint in f.effect.joints}
-    count = "all" if open_at == joints else str(len(open_at))
-    where = f"{count} of these joints" if len(joints) > 1 else min(joints)
+    joints = joints_of(group)
+    open_at = len(joints_of([f for f in group if f.rivals]))
+    count = "all" if open_at == len(joints) else str(open_at)
+    where = f"{count} of these joints" if len(joints) > 1 else joints[0]
     name = plain(rivals.most_common(1)[0][0])
     other = name if len(rivals) == 1 else f"another effect, such as {name},"
     return f" At {where}, {other} would look the same."

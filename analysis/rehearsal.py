@@ -26,7 +26,7 @@ from excitant.names import listed
 from excitant.results import Requirement
 from excitant.robots.effects import EFFECTS, Effect, plain, standard_effects
 from excitant.robots.geometry import CLEARANCE, Scene, usual_scene
-from excitant.robots.motion import Array, Motion, read_only, root_mean_square
+from excitant.robots.motion import Array, numbered, read_only, root_mean_square
 from excitant.robots.plant.planting import plant
 from excitant.robots.plant.sensors import Run
 from excitant.robots.robot import Robot
@@ -76,7 +76,6 @@ def _item(
     passed: bool,
     detail: str,
     advice: str,
-    *,
     planted: float | None = None,
     recovered: float | None = None,
     std: float | None = None,
@@ -166,7 +165,7 @@ def _recovered(
     situation: Situation, estimates: Sequence[Estimate], x: Array
 ) -> list[Requirement]:
     beta = estimates[0].base.regrouping @ x
-    std = [_std(e) for e in estimates]
+    std = [e.least_squares.std for e in estimates]
     errors = np.array([e.least_squares.beta for e in estimates]) - beta
     inside = np.abs(errors) <= 1.96 * np.array(std)
     share = float(inside.mean())
@@ -182,25 +181,19 @@ def _recovered(
     ]
 
 
-def _std(estimate: Estimate) -> Array:
-    return np.sqrt(np.diag(estimate.least_squares.covariance))
-
-
 def _friction(
     situation: Situation, estimate: Estimate, beta: Array
 ) -> list[Requirement]:
     robot = situation.robot
     items = []
-    std = _std(estimate)
+    fit = estimate.least_squares
     names = [estimate.base.names[k] for k in estimate.base.columns]
     for effect in standard_effects(robot.joints)[:2]:
         for joint, parameter in zip(
             robot.joints, effect.parameters(robot), strict=True
         ):
             k = names.index(parameter.name)
-            true, value, s = map(
-                float, (beta[k], estimate.least_squares.beta[k], std[k])
-            )
+            true, value, s = map(float, (beta[k], fit.beta[k], fit.std[k]))
             lack = max(abs(value - true), 1.96 * s) / (_KNOWN * abs(true))
             unit = parameter.unit
             advice = situation.faster(joint, lack)
@@ -211,10 +204,10 @@ def _friction(
                 lack <= 1,
                 detail,
                 advice,
-                planted=true,
-                recovered=value,
-                std=s,
-                unit=unit,
+                true,
+                value,
+                s,
+                unit,
             )
             items.append(item)
     return items
@@ -247,15 +240,14 @@ def _other_motions(
     """Error at states within half the limits, which the motion need not have visited."""
     robot = situation.robot
     base = estimate.base
-    q, dq, ddq = typical_motion(robot)
-    motion = Motion(np.arange(len(q), dtype=float), q, dq, ddq)
+    motion = numbered(*typical_motion(robot))
     W = observation_columns(robot, standard_effects(robot.joints), motion)[
         :, :, base.columns
     ]
     torque = root_mean_square(W @ beta)
     share = root_mean_square(W @ (estimate.least_squares.beta - beta)) / torque
     j = int(share.argmax())
-    unsure = root_mean_square(W[:, j]) * _std(estimate)
+    unsure = root_mean_square(W[:, j]) * estimate.least_squares.std
     weak = base.names[base.columns[int(unsure.argmax())]]
     size = f"rms error {100 * share[j]:.2g} % of the torque at half the limits"
     advice = situation.faster(lack=float(share[j] / _ELSEWHERE))
@@ -295,16 +287,17 @@ def _named(
         r for r in lead.rivals if not (mass and r.candidate.effect.family == "body")
     ]
     passed = right and not lead.downgrade and not others
-    values = dict[str, Any]()
-    if right and lead.effect.values is not None:
-        values = {
-            "planted": change.parameters[0][1],
-            "recovered": float(lead.effect.values[0] - lead.nominal[0]),
-            "std": float(lead.std[0]),
-            "unit": lead.effect.parameters(diagnosis.robot)[0].unit,
-        }
     detail = f"{planted}, {named}"
-    return _item("diagnosis", change.joint, passed, detail, advice, **values)
+    told = "diagnosis", change.joint, passed, detail, advice
+    if not right or lead.effect.values is None:
+        return _item(*told)
+    return _item(
+        *told,
+        change.parameters[0][1],
+        float(lead.effect.values[0] - lead.nominal[0]),
+        float(lead.std[0]),
+        lead.effect.parameters(diagnosis.robot)[0].unit,
+    )
 
 
 def _cause(cause: Finding | Candidate) -> str:

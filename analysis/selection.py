@@ -87,13 +87,13 @@ def _best_addition(
         candidate = evidence.candidates[k]
         if scores[k] <= 0:
             return None
-        if candidate.key in taken or candidate not in allowed:
-            continue
-        if not _significant(evidence, chosen, candidate, float(falls[k])):
-            continue
-        if _repeats(robot, chosen, candidate):
-            continue
-        if _plausible(evidence, robot, [*chosen, candidate], candidate):
+        if (
+            candidate.key not in taken
+            and candidate in allowed
+            and _significant(evidence, chosen, candidate, float(falls[k]))
+            and not _repeats(robot, chosen, candidate)
+            and _plausible(evidence, robot, [*chosen, candidate], candidate)
+        ):
             return _simplest(evidence, chosen, candidate)
     return None
 
@@ -162,8 +162,7 @@ def _chances(candidates: tuple[Candidate, ...]) -> Array:
     """Fall of J that the best shape of each reaches by chance where it is absent, (candidates,)."""
     sizes = np.array([c.size for c in candidates])
     trials = np.array([c.trials for c in candidates])
-    falls = scipy.special.chdtri(sizes, SELECTION.chance_tail / trials)
-    return np.asarray(falls, float)
+    return scipy.special.chdtri(sizes, SELECTION.chance_tail / trials)
 
 
 def _significant(

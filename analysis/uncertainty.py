@@ -20,6 +20,7 @@ from excitant.analysis.thresholds import RESOLUTION
 from excitant.exceptions import BadInput, BadRobot
 from excitant.identify.prior import (
     BodyPrior,
+    all_directions,
     linear_influence,
     prior_parameters,
     reference_motion,
@@ -116,8 +117,7 @@ def _unit_columns(R: Array) -> tuple[Array, Array]:
 def _decomposed(R: Array) -> tuple[Array, Array, Array, Mask]:
     """Column scales; singular values and right vectors of R in these scales, and which are seen."""
     scale, unit = _unit_columns(R)
-    _, s, Vt = np.linalg.svd(unit, full_matrices=True)
-    s = np.pad(s, (0, len(Vt) - len(s)))
+    s, Vt = all_directions(unit)
     return scale, s, Vt.T, s > ROUNDING * max(float(s.max(initial=0.0)), 1e-300)
 
 
@@ -366,8 +366,7 @@ def prior_root(bodies: Array, effects: Array) -> Array:
 
 def posterior_std(R: Array, L: Array) -> Array:
     """Standard deviation of each parameter after data, constraints ignored, shape (p,)."""
-    _, s, Vt = np.linalg.svd(R @ L)
-    s = np.pad(s, (0, len(Vt) - len(s)))
+    s, Vt = all_directions(R @ L)
     return np.linalg.norm(L @ Vt.T / np.sqrt(1 + s**2), axis=1)
 
 

@@ -81,6 +81,7 @@ from excitant.identify.rows import (
 from excitant.identify.shapes import Shapes, refined_shapes, widened
 from excitant.identify.unmodelled import (
     Delay,
+    Fits,
     allowing_for_springs,
     delay_of,
     impossible_values,
@@ -442,16 +443,14 @@ def _with_bodies(
     prior: Array,
     known: Knowledge,
     name: str,
-) -> tuple[LeastSquares, PhysicalFit, tuple[str, ...]]:
+) -> Fits:
     """Both fits by an estimator, beside springs if any, and what is told of what the model lacks.
 
     Where it lacks something, the data contradict no mass: those that no description misses so far
     are fitted anew, to data that are as much less certain.
     """
 
-    def fitted_to(
-        fit: LeastSquares, times: float
-    ) -> tuple[LeastSquares, PhysicalFit, tuple[str, ...]]:
+    def fitted_to(fit: LeastSquares, times: float) -> Fits:
         R, z = rows.regression.factor(fit.weight)
         if name != "wls":
             z = R[:, rows.base.columns] @ fit.beta

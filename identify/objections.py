@@ -122,8 +122,7 @@ def useless_joints(joints: Sequence[str], judged: HoldOut) -> list[str]:
     r2 = judged.accuracy.r2
     return [
         f"{joints[j]} (r² = {r2[j]:.3g})"
-        for j in np.flatnonzero(judged.series.judged).tolist()
-        if r2[j] < 0
+        for j in np.flatnonzero(judged.series.judged & (r2 < 0)).tolist()
     ]
 
 
@@ -131,8 +130,7 @@ def _missed(joints: Sequence[str], judged: HoldOut) -> list[str]:
     nrmse = judged.accuracy.nrmse
     return [
         f"{100 * nrmse[j]:.0f} % of the torque of {joints[j]}"
-        for j in np.flatnonzero(judged.series.judged).tolist()
-        if nrmse[j] > MISSED
+        for j in np.flatnonzero(judged.series.judged & (nrmse > MISSED)).tolist()
     ]
 
 
@@ -152,9 +150,8 @@ def _strained(model: Robot, judged: HoldOut) -> list[str]:
     strained = (largest > limits) & (limits > 0)
     if judged.drive is not None:
         strained &= judged.drive.known
-    beyond = np.flatnonzero(strained).tolist()
     return [
         f"{largest[j]:.4g} {model.torque_unit(joint=j)} of {limits[j]:.4g} at "
         f"{model.joints[j]}"
-        for j in beyond
+        for j in np.flatnonzero(strained).tolist()
     ]

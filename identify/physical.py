@@ -25,6 +25,7 @@ from excitant.identify.prior import (
     LARGEST_SIGMA,
     BodyPrior,
     EffectPrior,
+    all_directions,
     largest_uncertainty,
     linear_influence,
     link_coordinates,
@@ -120,8 +121,7 @@ class PhysicalFit(Noun):
     def widened(self, times: float) -> Self:
         """The fit with the uncertainty of data that are so many times less certain."""
         R = self.R / times
-        _, seen, Vt = np.linalg.svd(R @ self.root)
-        seen = np.pad(seen, (0, len(Vt) - len(seen)))
+        seen, Vt = all_directions(R @ self.root)
         after = self.root @ Vt.T / np.hypot(1, seen)
         return replace(self, R=R, covariance=after @ after.T)
 

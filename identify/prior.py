@@ -378,6 +378,12 @@ def reached(L: Array, directions: Array, x: Array, links: int) -> Array:
     return np.minimum(quotient(spread, size), 1.0)
 
 
+def all_directions(A: Array) -> tuple[Array, Array]:
+    """Singular values, (p,), zero where A has fewer than p, and all right vectors, (p, p)."""
+    _, s, Vt = np.linalg.svd(A)
+    return np.pad(s, (0, len(Vt) - len(s))), Vt
+
+
 def silent_columns(R: Array) -> Mask:
     """Columns that make no torque, shape (p,)."""
     norms = np.linalg.norm(R, axis=0)
@@ -390,8 +396,7 @@ def linear_influence(R: Array, L: Array, x: Array, links: int) -> Array:
     An entry that is known exactly beforehand follows by 1. R is a factor of the whitened columns,
     shape (rows, p); the rest as in `reached`.
     """
-    _, s, Vt = np.linalg.svd(R @ L)
-    s = np.pad(s, (0, len(Vt) - len(s)))
+    s, Vt = all_directions(R @ L)
     seen = s > UNSEEN * s.max(initial=0.0)
     directions = L @ Vt.T
     moves = directions / (1 + s**2)

@@ -298,7 +298,7 @@ class Regression:
 def weighted(products: scipy.sparse.csc_array, weight: Array) -> Array:
     """Sum of products of joints, as of `Regression.products_of`, weighted, square."""
     size = math.isqrt(products.shape[0])
-    return np.asarray(products @ weight, float).reshape(size, size)
+    return (products @ weight).reshape(size, size)
 
 
 def triangle(A: Array) -> Array:

@@ -338,16 +338,11 @@ def _base_parameters(estimate: Estimate) -> list[dict[str, Any]]:
     ]
 
 
-def _body_std(estimate: Estimate) -> Array:
-    """Relative uncertainty of each nominal link, shape (links,)."""
-    sigma = np.asarray(estimate.physical.prior.sigma)
-    return np.broadcast_to(sigma, (estimate.given.nv,))
-
-
 def _moved(estimate: Estimate, bodies: Sequence[dict[str, Any]]) -> list[str]:
     """Sentences on how far the nominal bodies agree with the data, and which moved by half."""
-    std = _body_std(estimate)
     links = estimate.given.links
+    # relative uncertainty of each
+    std = np.broadcast_to(estimate.physical.prior.sigma, len(links))
     common = float(std.min())
     sentences = [
         f"the given bodies are off by about {100 * common:.0f} % where the recordings see them; as "

@@ -54,6 +54,9 @@ from excitant.robots.motion import Array, quotient, read_only, root_mean_square
 from excitant.robots.robot import Robot
 from excitant.robots.torque import coefficients
 
+Fits = tuple[LeastSquares, PhysicalFit, tuple[str, ...]]
+"""Of base parameters and of bodies, and what is told of what the model lacks."""
+
 IMPOSSIBLE_BY_CHANCE = 0.05
 """Probability that any possible coefficient is said to be none, of all of them; convention."""
 
@@ -210,7 +213,7 @@ def allowing_for_springs(
     noise: Array,
     knowledge: Knowledge,
     times: float,
-) -> tuple[LeastSquares, PhysicalFit, tuple[str, ...]]:
+) -> Fits:
     """Both fits with springs that the model lacks, and what is told of these.
 
     The fits are as they were where neither errors nor nominal bodies show any. Else base parameters

@@ -14,7 +14,14 @@ from known_arms import recorded, smooth_motion
 from marks import slow
 from planted import DRAWN, SCALAR, Case, Diagnosed, Runs, hidden
 
-from excitant.analysis.confirmation import Extender, Extension, Holdout, HoldoutScale, _cancelled
+from excitant.analysis.confirmation import (
+    Extender,
+    Extension,
+    Holdout,
+    HoldoutScale,
+    _cancelled,
+    coefficients_of,
+)
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.evidence import are_placeholders
 from excitant.analysis.explanation import at_rest, headline, reason_to_downgrade
@@ -475,7 +482,7 @@ def test_an_undecided_size_has_no_deviation(coulomb: Diagnosis) -> None:
     found = fit.unsure_of(lead, [lead, undecided])
     assert found.std[0] == pytest.approx(np.hypot(lead.std[0], shift), rel=1e-9)
     # with a rival in its place it is what is fitted then, unless both are laws of one friction
-    here = fit.values[lead.effect.parameters(fit.model)[0].name]
+    [here] = coefficients_of(fit.model, fit.model, lead.effect)
     model = fit.model.with_effects([lead.effect.with_values((here + 0.5,))])
     spring = replace(lead, effect=EFFECTS["spring"](lead.effect.joints), instead=model)
     for name, shift in (("torque_gain", 0.5), ("stribeck_friction", 0.0)):
