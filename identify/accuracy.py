@@ -61,6 +61,10 @@ class Accuracy(Noun):
         """Figures of one joint under their JSON names."""
         return {name: float(values[joint]) for name, values in vars(self).items()}
 
+    def entries(self, joints: Sequence[str]) -> list[dict[str, Any]]:
+        """Those of all joints, with their names."""
+        return [{"name": name, **self.entry(j)} for j, name in enumerate(joints)]
+
 
 @dataclass(frozen=True, eq=False)
 class Series:
@@ -105,14 +109,12 @@ class Series:
         """Accuracy of a prediction at these rows, shape (n, nv)."""
         error = self.measured - predicted
         rms = self.rms(error)
-        rms_raw = self.rms(self.raw - predicted)
-        std = self.std
         nrmse = np.divide(
-            rms, std, out=np.full_like(rms, np.nan), where=self._shown
+            rms, self.std, out=np.full_like(rms, np.nan), where=self._shown
         )
         return Accuracy(
             rms,
-            rms_raw,
+            self.rms(self.raw - predicted),
             nrmse,
             1 - nrmse**2,
             rms_all=root_mean_square(error),
@@ -169,14 +171,12 @@ def series(segments: Sequence[Segment], poses: Poses | None = None) -> Series:
     for segment in segments:
         times.append(segment.t - segment.t[0] + start)
         start = times[-1][-1] + (segment.t[1] - segment.t[0])
-    measured = np.concatenate([s.tau[s.keep] for s in segments])
-    raw = np.concatenate([s.tau_raw[s.keep] for s in segments])
     return Series(
         read_only(np.concatenate(times)),
-        read_only(measured),
-        read_only(raw),
+        read_only(np.concatenate([s.tau[s.keep] for s in segments])),
+        read_only(np.concatenate([s.tau_raw[s.keep] for s in segments])),
         away_from_rest(segments),
-        None if poses is None else poses.least,
+        poses and poses.least,
     )
 
 
@@ -259,7 +259,7 @@ def independent_squares(residual: Array) -> float:
     rho = autocorrelation(residual)[1:]
     chance = np.flatnonzero(np.abs(rho) < 2 / np.sqrt(n))
     end = int(chance[0]) if len(chance) else len(rho)
-    return float(n / (1 + 2 * np.sum(rho[:end] ** 2)))
+    return n / (1 + 2 * np.sum(rho[:end] ** 2))
 
 
 def coverage(inside: Sequence[Mask]) -> Coverage:

@@ -217,7 +217,7 @@ def current_gains(
     first = np.full(nv, least)
     first[-1] = largest_uncertainty(bodies)[-1]
     log_gains, covariance = _solved(joints, owner, first, least)
-    largest = np.array([np.abs(x).max(initial=0.0) for x in current.T])
+    largest = np.abs(current).max(axis=0, initial=0.0)
     limits = np.where(robot.limits.torque > 0, robot.limits.torque, np.inf)
     return DriveGains(
         np.exp(log_gains),
@@ -261,7 +261,7 @@ def _noise(residual: Array) -> float:
     """Noise of a row, as many rows being correlated as its autocorrelation time says."""
     if not residual.any():
         return 0.0
-    return float(residual.std() * np.sqrt(autocorrelation_time(residual)))
+    return residual.std() * np.sqrt(autocorrelation_time(residual))
 
 
 def _common(triangles: Sequence[Array], noise: Array) -> float:
@@ -269,7 +269,7 @@ def _common(triangles: Sequence[Array], noise: Array) -> float:
     pairs = zip(triangles, noise, strict=True)
     both = np.concatenate([T[:, -2:] / sigma for T, sigma in pairs])
     (given, product), _ = both.T @ both
-    return float(np.log(given / abs(product))) if given * product else 0.0
+    return np.log(given / abs(product)) if given * product else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,7 +329,7 @@ class _Reduced:
         """Logarithms of the gains, from such ones, shape (nv,)."""
         for _ in range(MOST_STEPS):
             step = np.linalg.solve(*self.normal(log_gains))
-            size = float(np.abs(step).max())
+            size = np.abs(step).max()
             log_gains = log_gains + step * min(
                 1.0, LONGEST_STEP / max(size, 1e-300)
             )

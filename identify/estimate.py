@@ -252,7 +252,8 @@ class Estimate(Shown):
                 return read_only(torque(self.model, still) / self.gains)
             tau = torque(self.model, s.motion) / self.gains
             t = s.motion.t
-            tau = s.filtered(tau) if filtered else tau
+            if filtered:
+                tau = s.filtered(tau)
             inside = (run.t >= t[0]) & (run.t < t[-1] + 1 / s.rate_hz)
             predicted[inside] = interpolated(run.t[inside], t, tau)
         return read_only(predicted)
@@ -269,9 +270,7 @@ class Estimate(Shown):
             for s in _segments(recording, self.data, self.given)
         ]
         predicted = predicted_torque(self.model, rows) / self.gains
-        accuracy = series(rows).accuracy(predicted)
-        joints = enumerate(self.given.joints)
-        return [{"name": name, **accuracy.entry(j)} for j, name in joints]
+        return series(rows).accuracy(predicted).entries(self.given.joints)
 
     def to_frame(
         self,
@@ -295,8 +294,9 @@ class Estimate(Shown):
             worst_and_median(joints, x.nrmse)
             for x in (self.baseline, self.validate)
         )
-        at_rest = self.data.poses is not None
-        where = "at rest" if at_rest else f"below {self.data.cutoff_hz:.3g} Hz"
+        where = (
+            "at rest" if self.data.poses else f"below {self.data.cutoff_hz:.3g} Hz"
+        )
         broken = violations(self.phi, self.given.links)
         effects = self.model.effects
         return [
@@ -403,7 +403,8 @@ def identify_robot(
     notes = (*notes_on(rows, prior), *turning_notes(turns, robot))
     shapes = refined_shapes(rows, prior, known)
     if shapes is not None:
-        rows = shapes.rows(rows) if shapes.better else rows
+        if shapes.better:
+            rows = shapes.rows(rows)
         notes += (shapes.sentence,)
     logs = fitted(recordings, validate)
     rows, fit, name, remarks = estimated(rows, logs, estimator)
@@ -486,7 +487,7 @@ def _beyond_noise(
     )
 
     def ratio(physical: PhysicalFit) -> float:
-        misfit = float(((R @ physical.x - z) ** 2).sum())
+        misfit = ((R @ physical.x - z) ** 2).sum()
         freedom = max(len(z) - physical.followed, 1.0)
         by_chance = misfit < scipy.special.chdtri(freedom, FALSE_ALARM)
         return 1.0 if by_chance else float(np.sqrt(misfit / freedom))
@@ -531,9 +532,9 @@ def _bodies(
     links = np.array(robot.links)[told].tolist()
     near = known.near(dict(zip(links, given.tolist(), strict=True)), BODY_STD)
     tied = fitted_with(free.prior, near)
-    left, least = (float(((R @ fit.x - z) ** 2).sum()) for fit in (tied, free))
+    left, least = (((R @ fit.x - z) ** 2).sum() for fit in (tied, free))
     off = (tied.x[: 10 * robot.nv : 10][told] / given - 1) / BODY_STD
-    chance = float(scipy.special.chdtri(len(given), AGREEMENT.false_alarm))
+    chance = scipy.special.chdtri(len(given), AGREEMENT.false_alarm)
     by_chance = left - least + off @ off < chance
     return (tied, near) if firm or by_chance else (free, known)
 

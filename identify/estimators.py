@@ -187,7 +187,7 @@ def _robust(
     if _follow_motion(problem, fit.sigma, residual):
         return fit, ""
     sizes = np.abs(residual) / robust.sigma
-    gross = [float((u > ROBUST.gross).mean()) for u in problem.counted(sizes)]
+    gross = [(u > ROBUST.gross).mean() for u in problem.counted(sizes)]
     worst = int(np.argmax(gross))
     return robust, (
         f"torque is far off in up to {100 * gross[worst]:.1f} % of the rows ({joints[worst]}), as "
@@ -212,7 +212,7 @@ def _follow_motion(problem: Regression, sigma: Array, errors: Array) -> bool:
             shifted[problem.rows(j), j] = np.roll(
                 values, round(share * len(values))
             )
-        return float(((flat.T @ shifted.ravel()) ** 2).sum())
+        return ((flat.T @ shifted.ravel()) ** 2).sum()
 
     others = [explained(k * GOLDEN % 1) for k in range(1, SHIFTS + 1)]
     as_large = 1 + sum(other >= explained(0.0) for other in others)
@@ -245,7 +245,7 @@ def _smooth(rows: FitRows, fit: LeastSquares) -> tuple[FitRows, LeastSquares, st
     error = found.sigma / smooth.gains
     if np.log(error * rows.gains / fit.sigma).sum() >= 0:
         return rows, fit, ""
-    worst = int(np.argmax(share))
+    worst = np.argmax(share)
     sentence = (
         f"positions are coarse beside the motion (noise of {100 * share[worst]:.2g} % of the "
         f"acceleration of {rows.robot.joints[worst]}): {ESTIMATORS['smooth']}, which count up to "
@@ -349,7 +349,7 @@ def _settled(
             ) from None
         beta = beta + inverse @ step
         change = Q @ step * start.weight / (sigma + rounding / ROBUST.settled)
-        if float((change**2).mean()) <= ROBUST.settled**2:
+        if (change**2).mean() <= ROBUST.settled**2:
             return beta
     raise Infeasible(
         "robust regression",

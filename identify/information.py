@@ -64,9 +64,10 @@ def information_of(A: Array, b: Array) -> Information:
 
 def combined(parts: Sequence[Information]) -> Information:
     """Information of independent parts about the same parameters."""
-    A = np.vstack([part.R for part in parts])
-    b = np.concatenate([part.z for part in parts])
-    total = information_of(A, b)
+    total = information_of(
+        np.vstack([part.R for part in parts]),
+        np.concatenate([part.z for part in parts]),
+    )
     return Information(
         total.R, total.z, total.rest + sum(part.rest for part in parts)
     )

@@ -306,8 +306,7 @@ def score_covariances(
                 first + joint.taken(gamma, total, k)
                 for first, joint, gamma, k in joints
             ]
-    freedom = list(map(_degrees_of_freedom, gammas, counts))
-    return scores, np.array(freedom)
+    return scores, np.array([*map(_degrees_of_freedom, gammas, counts)])
 
 
 def _degrees_of_freedom(gamma: Array, n: int) -> float:

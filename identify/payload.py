@@ -95,9 +95,9 @@ class PayloadEstimate:
     @property
     def shortcomings(self) -> tuple[str, ...]:
         """Reason for uncertainty above 2 % or 3 mm at 95 % confidence; empty below."""
-        interval = CONFIDENCE_STDS * float(self.std[0])
+        interval = CONFIDENCE_STDS * self.std[0]
         centre = CONFIDENCE_STDS * self.centre_std
-        if self.mass < SEEN_STDS * float(self.std[0]):
+        if self.mass < SEEN_STDS * self.std[0]:
             return (
                 f"no payload is seen: {self.mass:.2g} kg, give or take {interval:.2g} kg",
             )
@@ -113,7 +113,7 @@ class PayloadEstimate:
                 )
             )
         if centre.max() > CENTRE_GOAL:
-            worst = int(np.argmax(centre))
+            worst = np.argmax(centre)
             off = float(f"{1e3 * centre.max():.2g}")
             reasons.append(
                 f"centre of mass along {'xyz'[worst]} is known to ±{off:g} mm only: turn the last "
@@ -123,17 +123,14 @@ class PayloadEstimate:
 
     def result(self) -> dict[str, Any]:
         """Entries of result.json."""
-        rows = zip(
-            STANDARD, self.phi.tolist(), self.std.tolist(), UNITS, strict=True
-        )
-        parameters = [
-            dict(zip(("name", "value", "std", "unit"), row, strict=True))
-            for row in rows
-        ]
-        for entry, share in zip(parameters, self.fit.prior_share, strict=True):
-            entry["prior_dominated"] = bool(share > 0.5)
-        centre = self.centre.tolist()
-        std = self.centre_std.tolist()
+        parameters = {
+            "name": STANDARD,
+            "value": self.phi.tolist(),
+            "std": self.std.tolist(),
+            "unit": UNITS,
+            "prior_dominated": (self.fit.prior_share > 0.5).tolist(),
+        }
+        rows = zip(*parameters.values(), strict=True)
         history = {"t": [t for t, _ in self.history]}
         for key in ("mass", "centre", "centre_std"):
             history[key] = [
@@ -143,8 +140,12 @@ class PayloadEstimate:
         return {
             "link": self.link,
             "mass": {"value": self.mass, "std": float(self.std[0]), "unit": "kg"},
-            "centre_of_mass": {"value": centre, "std": std, "unit": "m"},
-            "parameters": parameters,
+            "centre_of_mass": {
+                "value": self.centre.tolist(),
+                "std": self.centre_std.tolist(),
+                "unit": "m",
+            },
+            "parameters": [dict(zip(parameters, row, strict=True)) for row in rows],
             "shortcomings": list(self.shortcomings),
             "notes": list(self.notes),
             **({"history": history} if self.history else {}),

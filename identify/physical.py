@@ -103,9 +103,8 @@ class PhysicalFit(Noun):
     @property
     def prior_share(self) -> Array:
         """Part of each parameter's uncertainty that no data reduced, shape (p,)."""
-        after = np.diag(self.covariance)
         before = (self.root**2).sum(axis=1)
-        ratio = quotient(after, before, otherwise=1.0)
+        ratio = quotient(np.diag(self.covariance), before, otherwise=1.0)
         return np.sqrt(np.clip(ratio, 0.0, 1.0))
 
     @property
@@ -262,7 +261,7 @@ def agreement(
 
         grid = np.log(np.geomspace(AGREEMENT.least, largest, AGREEMENT.grid))
         log_sigma, least = grid_minimum(surprise, grid)
-        log_det = float(np.log(np.abs(np.diag(root))).sum())
+        log_det = np.log(np.abs(np.diag(root))).sum()
         return float(np.exp(log_sigma)), least + 2 * log_det
 
     def with_own(own: Sequence[int], sigma: Array) -> tuple[float, Array]:

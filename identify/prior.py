@@ -120,7 +120,7 @@ def prior_parameters(robot: Robot) -> Array:
             raise BadRobot(
                 robot.source, f"link '{link}' has mass {value:g} kg; correct it"
             )
-    total = float(mass.sum())
+    total = mass.sum()
     described = total > 1e-3 * robot.nv  # kg
     least = PLACEHOLDER * total if described else 1.0
     # radius of gyration about an axis [m]

@@ -141,7 +141,7 @@ class Regression:
             own = x[index]
             nonzero = np.asarray(own.any(axis=tuple(range(1, own.ndim))), bool)
             # those up to the first zero, of given values, are not copied
-            first = int(np.append(nonzero, False).argmin())
+            first = np.append(nonzero, False).argmin()
             few = first + np.flatnonzero(nonzero[first:])
             tau.append(
                 columns[:, :first] @ own[:first] + columns[:, few] @ own[few]

@@ -94,7 +94,7 @@ class Repeats(Noun):
         """Whether they agree, in words; std is that of the base parameters, shape (r,)."""
         if not self.differ:
             return f"the {len(self.recordings)} recordings agree within their noise"
-        worst = int(np.nanargmax(self.deviation))
+        worst = np.nanargmax(self.deviation)
         ratio = self.spread / np.maximum(std, np.finfo(float).tiny)
         return (
             f"the recordings differ by more than their noise, most {self.recordings[worst]} (its "
@@ -332,7 +332,7 @@ class _Fit:
         middle = len(problem) // 2
         return (
             self.rows_of(problem),
-            self.rows_of(problem.at(slice(None, middle))),
+            self.rows_of(problem.at(slice(middle))),
             self.rows_of(problem.at(slice(middle, None))),
         )
 
@@ -352,7 +352,7 @@ class _Fit:
     def count(self, problem: Regression) -> float:
         """Rows that count as independent."""
         rows = [len(values) for values in problem.counted(problem.tau)]
-        return max(1.0, float(np.sum(rows / self.fit.inflation)))
+        return max(1.0, np.sum(rows / self.fit.inflation))
 
     def cases(
         self,
@@ -383,7 +383,7 @@ class _Fit:
             effect = EFFECTS["encoder_offset"]((joint,))
             turned = partial(self.turned, effect, segments, used)
             around = [self.rows_of(turned(angle)) for angle in ANGLES]
-            best = int(np.argmin([_left(beside, own, own) for own in around]))
+            best = np.argmin([_left(beside, own, own) for own in around])
             angle = ANGLES[best]
             own = around[best]
             for _ in range(STEPS):
@@ -424,7 +424,7 @@ def differences(model: Robot, rows: FitRows, fit: LeastSquares) -> list[Differen
         own.squares(own.solve()) / known.count(parts[name])
         for name, own in alone.items()
     ]
-    usual = max(1.0, float(np.median(misfits)))
+    usual = max(1.0, np.median(misfits))
     found = list[Difference]()
 
     def disagreement(own: Information, count: float) -> float:
@@ -496,11 +496,11 @@ def _difference(
     count = known.count(part)
     cases = [*known.cases(segments, part.used, beside)]
     squares = np.array([_left(beside, c.rows[0], c.rows[0]) for c in cases])
-    dispersion = max(1.0, float(squares.min()) / count)
+    dispersion = max(1.0, squares.min() / count)
     # Schwarz's criterion
     prices = [dispersion * np.log(count) * len(case.start) for case in cases]
     order = squares + prices
-    best = int(np.argmin(order))
+    best = np.argmin(order)
     case = cases[best]
 
     def explains(shown: int, judged: int, expected: float) -> bool:

@@ -72,7 +72,7 @@ class ReversalSettings:
     @property
     def step(self) -> float:
         """Of log v, between speeds tried."""
-        return float(np.log(self.shares[1] / self.shares[0]))
+        return np.log(self.shares[1] / self.shares[0])
 
 
 REVERSALS = ReversalSettings()
@@ -124,7 +124,7 @@ class Turning(NamedTuple):
     @property
     def less(self) -> float:
         """The same of the root of the mean square."""
-        return 1 - float(np.sqrt(1 - self.gain))
+        return 1 - np.sqrt(1 - self.gain)
 
 
 def turned_rows(
@@ -172,12 +172,11 @@ def turning_notes(found: Sequence[Turning], robot: Robot) -> tuple[str, ...]:
     """What is told of friction that turns over a range of speeds."""
     if not found:
         return ()
-    sentence = (
+    return (
         "dry friction turns over a range of speeds at reversals, F_c tanh(q̇ / v), which "
         "predicts parts of the recordings left out of a fit better than a jump, rows of rest "
-        f"included: v = {', '.join(each.words(robot) for each in found)}"
+        f"included: v = {', '.join(each.words(robot) for each in found)}",
     )
-    return (sentence,)
 
 
 def _turning(
@@ -198,7 +197,7 @@ def _turning(
         gains = at_once - np.minimum(fit.errors(column) ** 2, limit)
         certain = chance_of_loss(gains) < REVERSALS.chance
         if certain and chance_of_loss(-gains[fit.used]) > REVERSALS.chance:
-            gain = float(gains.mean() / at_once.mean())
+            gain = gains.mean() / at_once.mean()
             tried.append(Turning(candidate, column, gain))
     best = max(tried, key=lambda each: each.gain, default=None)
     if best is None or best.less < REVERSALS.least:
@@ -221,9 +220,8 @@ def _refined(fit: _LeftOut, found: Turning, robot: Robot, data: Data) -> Turning
         force, change = fit.coefficients(columns)
         if not force > 0:
             break
-        log_ratio = float(
-            np.clip(log_ratio + change / force, -REVERSALS.step, REVERSALS.step)
-        )
+        log_ratio += change / force
+        log_ratio = np.clip(log_ratio, -REVERSALS.step, REVERSALS.step)
     std = fit.std(columns)[1] / max(force, 1e-300)
     return found._replace(effect=effect, column=column, std=std)
 

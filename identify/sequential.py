@@ -148,16 +148,14 @@ def _noise(every: Array, U: Array, target: Array) -> tuple[Array, float, float]:
     n, m = every.shape
     residual = target - every @ (every.T @ target)
     # data without noise
-    floor = 1e-9 * float(np.linalg.norm(target)) / np.sqrt(n) + 1e-12
-    sigma = max(
-        float(np.linalg.norm(residual)) / np.sqrt(max(n - m, n / 10)), floor
-    )
+    floor = 1e-9 * np.linalg.norm(target) / np.sqrt(n) + 1e-12
+    sigma = max(np.linalg.norm(residual) / np.sqrt(max(n - m, n / 10)), floor)
     scores, freedom = score_covariances(
         [JointRows(every, np.eye(m))], [residual / sigma]
     )
     T = every.T @ U
     covariance = sigma**2 * student_width(freedom[0]) ** 2 * (T.T @ scores[0] @ T)
-    inflation = max(float(np.trace(covariance)) / max(len(T.T), 1) / sigma**2, 1.0)
+    inflation = max(np.trace(covariance) / max(len(T.T), 1) / sigma**2, 1.0)
     return covariance + floor**2 * np.eye(len(T.T)), sigma, inflation
 
 
@@ -307,10 +305,16 @@ def run_stages(rows: FitRows) -> tuple[Cascade, tuple[Stage, ...]]:
         F, leading = _led_combinations(
             F, leading, cascade.functionals[before:], scale, own
         )
-        determined = _determined(base, cascade, F[before:], leading[before:], scale)
-        count = int(counted.sum())
-        recordings = _recordings(rows, j)
-        stages.append(Stage(j, count, noise, inflation, recordings, determined))
+        stages.append(
+            Stage(
+                j,
+                int(counted.sum()),
+                noise,
+                inflation,
+                _recordings(rows, j),
+                _determined(base, cascade, F[before:], leading[before:], scale),
+            )
+        )
     missing = np.setdiff1d(np.arange(len(base)), leading)
     return cascade, tuple(
         replace(

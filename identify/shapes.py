@@ -197,8 +197,8 @@ class _Search:
         inflation = np.maximum(fit.inflation / stride, 1.0)
         self.weight = replace(fit, inflation=inflation).weight
         self.problem = rows.regression.at(self.instants)
-        W = self.problem.W
-        self.R = (W * self.weight[:, None]).reshape(-1, W.shape[2])
+        weighted = self.problem.W * self.weight[:, None]
+        self.R = weighted.reshape(-1, self.problem.p)
         self.z = (self.problem.tau * self.weight).ravel()
         self.places = [
             _Place(k, own, effect.search.tuned.name)
@@ -266,7 +266,7 @@ class _Search:
             grid = effect.search.candidates(usual, fact) if fact.moves else []
             shapes = [effect, *grid]
             gains = [self._explained(shape, basis, residual) for shape in shapes]
-            best.append(getattr(shapes[int(np.argmax(gains))], place.field))
+            best.append(getattr(shapes[np.argmax(gains)], place.field))
         return np.array(best)
 
     def _explained(self, effect: Effect, basis: Array, residual: Array) -> float:
@@ -277,7 +277,7 @@ class _Search:
         lower = np.array([p.lower for p in effect.parameters(self.robot)])
         if (theta < lower).any():
             return 0.0
-        return float(residual @ residual - ((residual - C @ theta) ** 2).sum())
+        return residual @ residual - ((residual - C @ theta) ** 2).sum()
 
     def _shaped(self, place: _Place, log_shape: float) -> Array:
         """Whitened columns of an effect with a shape."""

@@ -63,24 +63,25 @@ def body_changes(estimate: Estimate) -> list[dict[str, Any]]:
             changes.append(
                 f"mass {given.mass:.3g} → {mass:.3g} kg ({_DECIDED_BY[mass_by]}{shown})"
             )
-        if shift >= max(LARGE_CHANGE * float(lengths[k]), SMALLEST_SHIFT):
+        if shift >= max(LARGE_CHANGE * lengths[k], SMALLEST_SHIFT):
             changes.append(
                 f"centre of mass by {1e3 * shift:.3g} mm ({_DECIDED_BY[centre_by]})"
             )
-        entry = {
-            "link": link,
-            "mass": {"given": given.mass, "value": mass, "decided_by": mass_by},
-            "centre": {
-                "given": given.lever.tolist(),
-                "value": centre.tolist(),
-                "shift": shift,
-                "decided_by": centre_by,
-            },
-            "moved": f"{link}: {' and '.join(changes)}"
-            if changes and known
-            else None,
-        }
-        entries.append(entry)
+        entries.append(
+            {
+                "link": link,
+                "mass": {"given": given.mass, "value": mass, "decided_by": mass_by},
+                "centre": {
+                    "given": given.lever.tolist(),
+                    "value": centre.tolist(),
+                    "shift": shift,
+                    "decided_by": centre_by,
+                },
+                "moved": f"{link}: {' and '.join(changes)}"
+                if changes and known
+                else None,
+            }
+        )
     return entries
 
 
@@ -139,7 +140,7 @@ def _shown_with(estimate: Estimate, k: int) -> str:
     beside = np.hstack([own, effects]).any(axis=1)
     holds = (links[:, 10 * k] != 0) & ~beside & (np.abs(excess) > SURE_STDS * std)
     members = np.where(holds, np.count_nonzero(links, axis=1), np.inf)
-    i = int(np.argmin(members))
+    i = np.argmin(members)
     if not holds[i]:
         return ""
     unit = UNITS[base.columns[i] % len(UNITS)]
@@ -171,7 +172,7 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
     beyond = estimate.holdout.counted(error - half_width)
     covered = coverage([e <= 0 for e in beyond])
     bodies = body_changes(estimate)
-    drive = {"drive_gain_Nm_per_A": None}
+    drive = estimate.drive
     repeats = estimate.repeats
     return {
         "verb": "identify",
@@ -182,7 +183,7 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
         **({} if estimate.shapes is None else {"shapes": estimate.shapes.entry()}),
         "unit": robot.torque_unit(estimate.data.unit),
         "holdout": estimate.data.holdout,
-        **(drive if estimate.drive is None else estimate.drive.result()),
+        **({"drive_gain_Nm_per_A": None} if drive is None else drive.result()),
         "joints": _joints(estimate, covered),
         "links": bodies,
         "parameters": _parameters(estimate),
@@ -204,7 +205,7 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
             ),
             *(each.sentence(robot) for each in estimate.differences),
             *_moved(estimate, bodies),
-            *([estimate.knowledge.sentence] if estimate.knowledge.sentence else []),
+            *filter(None, [estimate.knowledge.sentence]),
             *_lacking(estimate),
             *_missed(robot.joints, covered),
         ],
@@ -251,33 +252,37 @@ def _joints(estimate: Estimate, covered: Coverage) -> list[dict[str, Any]]:
 def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
     robot = estimate.given
     physical = estimate.physical
-    effects = estimate.physical.estimated(estimate.model.effects)
-    owners = [link for link in robot.links for _ in UNITS]
-    owners += [p.name.rpartition(".")[0] for p in coefficients(robot, effects)]
+    effects = physical.estimated(estimate.model.effects)
     nominal = known_values(robot, effects)
-    bodies = physical.prior.bodies.ravel()
-    prior = [*bodies, *(None,) * (len(owners) - len(bodies))]
-    category = categories(estimate.base)
-    who = _deciders(estimate)
-    units = units_of(robot, effects, estimate.drive)
-    entries = []
-    for k, (by, given) in enumerate(zip(who, nominal, strict=True)):
-        if estimate.data.poses is not None and category[k] == "unidentifiable":
-            continue  # poses show no inertia
-        factor, unit = units[k]
-        entry = {
-            "name": estimate.base.names[k],
-            "link": owners[k],
-            "value": factor * float(physical.x[k]),
-            "std": _known(estimate.std[k]),
+    bodies = physical.prior.bodies.ravel().tolist()
+    rows = zip(
+        estimate.base.names,
+        physical.x.tolist(),
+        map(_known, estimate.std),
+        units_of(robot, effects, estimate.drive),
+        categories(estimate.base),
+        nominal,
+        [*bodies, *(None,) * (len(nominal) - len(bodies))],
+        _deciders(estimate),
+        strict=True,
+    )
+    entries = [
+        {
+            "name": name,
+            "link": name.rpartition(".")[0],
+            "value": factor * value,
+            "std": std,
             "unit": unit,
-            "category": category[k],
+            "category": kind,
             "given": None if given is None else factor * given,
-            "prior": None if prior[k] is None else float(prior[k]),
+            "prior": prior,
             "prior_dominated": by == "prior",
             "decided_by": by,
         }
-        entries.append(entry)
+        for name, value, std, (factor, unit), kind, given, prior, by in rows
+        # poses show no inertia
+        if estimate.data.poses is None or kind != "unidentifiable"
+    ]
     return entries + _of_springs(estimate)
 
 
@@ -288,9 +293,8 @@ def _of_springs(estimate: Estimate) -> list[dict[str, Any]]:
     units = units_of(robot, springs, estimate.drive)[robot.phi.size :]
     names = [p.name for p in coefficients(robot, springs)]
     values = [value for spring in springs for value in spring.values or ()]
-    entries = []
-    for name, value, (factor, unit) in zip(names, values, units, strict=True):
-        entry = {
+    return [
+        {
             "name": name,
             "link": name.rpartition(".")[0],
             "value": factor * value,
@@ -298,9 +302,10 @@ def _of_springs(estimate: Estimate) -> list[dict[str, Any]]:
             "category": "combined",
             "prior_dominated": False,
             "decided_by": "both",
+            **dict.fromkeys(("std", "given", "prior")),
         }
-        entries.append(entry | dict.fromkeys(("std", "given", "prior")))
-    return entries
+        for name, value, (factor, unit) in zip(names, values, units, strict=True)
+    ]
 
 
 def _known(std: float) -> float | None:
@@ -310,8 +315,7 @@ def _known(std: float) -> float | None:
 def _base_parameters(estimate: Estimate) -> list[dict[str, Any]]:
     base = estimate.base
     repeats = estimate.repeats
-    unknown = [None] * len(base)
-    spread = unknown if repeats is None else repeats.spread.tolist()
+    spread = [None] * len(base) if repeats is None else repeats.spread.tolist()
     beta = estimate.least_squares.beta.tolist()
     rows = zip(
         base.expressions,
@@ -343,7 +347,7 @@ def _moved(estimate: Estimate, bodies: Sequence[dict[str, Any]]) -> list[str]:
     links = estimate.given.links
     # relative uncertainty of each
     std = np.broadcast_to(estimate.physical.prior.sigma, len(links))
-    common = float(std.min())
+    common = std.min()
     sentences = [
         f"the given bodies are off by about {100 * common:.0f} % where the recordings see them; as "
         "much is allowed for where they do not"

@@ -118,7 +118,7 @@ def delay_of(rows: FitRows) -> Delay | None:
     torque = _torque_over_time(rows)
     nv = rows.robot.nv
     names = [f"delay {joint}" for joint in rows.robot.joints]
-    chance = -float(scipy.special.ndtri(FALSE_ALARM / 2))
+    chance = -scipy.special.ndtri(FALSE_ALARM / 2)
     value = 0.0
     for _ in range(REFINEMENT.rounds):
         rate = -torque(value, 1)[some, :, None] * np.eye(nv)
@@ -380,7 +380,7 @@ def _seen(
     names = [f"spring {joint}" for joint in robot.joints]
     wide = rows.reduced.with_columns(_linear(rows), names)
     thin = wide.at(slice(None, None, -(-len(wide) // REFINEMENT.instants)))
-    chance = -float(scipy.special.ndtri(FALSE_ALARM / (2 * robot.nv)))
+    chance = -scipy.special.ndtri(FALSE_ALARM / (2 * robot.nv))
     noise = noise * len(thin) / len(wide)
     at = [*range(r)]
     found = dict[int, str]()
@@ -396,7 +396,7 @@ def _seen(
         except RankDeficient:
             break
         stiffness = wider.beta[-1]
-        std = float(np.hypot(wider.std[-1], bias[surest]))
+        std = np.hypot(wider.std[-1], bias[surest])
         if not abs(stiffness) > chance * std:
             break
         best = wider
@@ -407,7 +407,7 @@ def _seen(
 
 
 def _alone(
-    problem: Regression, at: Sequence[int], beta: Array, sigma: Array, noise: Array
+    problem: Regression, at: list[int], beta: Array, sigma: Array, noise: Array
 ) -> tuple[Array, Array]:
     """Scores of single columns beside some, fitted with β, and bias of their coefficients, (p,).
 
@@ -416,19 +416,19 @@ def _alone(
     gram = problem.gram(sigma**-2.0)[:-1, :-1]
     B = np.linalg.solve(gram[np.ix_(at, at)], gram[at])
     fitted = np.zeros(problem.p)
-    fitted[list(at)] = beta
+    fitted[at] = beta
     error = problem.residual(fitted) / sigma
     scores = np.zeros(problem.p)
     bias = np.zeros(problem.p)
     for k in np.setdiff1d(np.arange(problem.p), at).tolist():
         x = np.zeros(problem.p)
-        x[list(at)] = -B[:, k]
+        x[at] = -B[:, k]
         x[k] = 1.0
         beyond = problem.torque(x) / sigma
-        power = float((beyond**2).sum())
+        power = (beyond**2).sum()
         if not power > DEPENDENT * gram[k, k]:
             continue
-        score = float((beyond * error).sum())
+        score = (beyond * error).sum()
         products = beyond * (error - score / power * beyond)
         times = [autocorrelation_time(column) for column in products.T]
         attenuated = float(x[: len(noise)] @ noise)
