@@ -195,9 +195,9 @@ def gather(
         columns.append(acting @ scale)
         weights.append(weight)
         start = stop
-    names = [str(k) for k in range(start)]
+    error = tau - nominal.torque()
     evidence = weigh(
-        dense(columns, tau - nominal.torque(), names, away_from_rest(segments)),
+        dense(columns, error, [*map(str, range(start))], away_from_rest(segments)),
         np.concatenate(weights),
         nuisance,
         candidates,
@@ -218,9 +218,7 @@ def coefficient_sizes(
     parameters: Sequence[Parameter], columns: Array, torque: Array
 ) -> Array:
     """Prior scale (e,) of free coefficients, typical or implausible; columns (n, joints, e)."""
-    typical = np.array(
-        [p.typical if p.typical is not None else np.nan for p in parameters]
-    )
+    typical = np.array([p.typical for p in parameters], float)
     return np.where(np.isnan(typical), implausible_size(columns, torque), typical)
 
 
@@ -240,7 +238,6 @@ def _coordinates(
             [1.0, PAYLOAD_LEVER, PAYLOAD_LEVER**2], [1, 3, 6]
         )
         return np.diag(units), np.ones(10)
-    parameters = effect.parameters(robot)
     felt = torque[:, columns.joints]
-    size = coefficient_sizes(parameters, columns.values, felt)
+    size = coefficient_sizes(effect.parameters(robot), columns.values, felt)
     return np.diag(size), np.ones(len(size))

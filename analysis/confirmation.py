@@ -137,8 +137,7 @@ class Finding:
     @property
     def total(self) -> Array:
         """Covariance of its coefficients with their errors by the gains, shape (k, k)."""
-        by_gains = np.outer(self.by_gains, self.by_gains)
-        return self.covariance + by_gains
+        return self.covariance + np.outer(self.by_gains, self.by_gains)
 
     @property
     def std(self) -> Array:
@@ -188,13 +187,13 @@ class Finding:
         if not self.total.any():
             return False
         change = self.change
-        distance = float(change @ scipy.linalg.pinvh(self.total) @ change)
-        return distance < float(scipy.special.chdtri(len(change), level))
+        distance = change @ scipy.linalg.pinvh(self.total) @ change
+        return bool(distance < scipy.special.chdtri(len(change), level))
 
     @property
     def is_no_change(self) -> bool:
         """Whether it is an effect of the nominal model with its value."""
-        of_model = self.effect.role == "torque" and bool(np.any(self.nominal))
+        of_model = self.effect.role == "torque" and any(self.nominal)
         return of_model and self.is_nominal
 
     @property
@@ -369,10 +368,9 @@ def _is_one_friction(one: Effect, other: Effect) -> bool:
 
 def unextended(evidence: Evidence, holdout: Holdout) -> Extension:
     """The nominal model as it is set up."""
-    observed = holdout.observed
-    mounted = holdout.mounted
+    rows = holdout.observed
     return Extension(
-        evidence, (), observed.robot, (), NO_COVARIANCE, observed, mounted
+        evidence, (), rows.robot, (), NO_COVARIANCE, rows, holdout.mounted
     )
 
 
@@ -464,8 +462,8 @@ class Extender:
         sigma = np.broadcast_to(given.sigma, len(given.bodies))
         link = BodyPrior(given.bodies[rows], sigma[rows])
         phi = model.phi.reshape(-1, 10)[rows].ravel()
-        chance = float(scipy.special.chdtri(len(phi), VERDICT.chance))
-        return link.surprise(phi) > chance
+        chance = scipy.special.chdtri(len(phi), VERDICT.chance)
+        return bool(link.surprise(phi) > chance)
 
     def again(self, chosen: Sequence[Candidate]) -> Extension:
         """The extended model with other causes, beside which links are as uncertain anew."""
@@ -547,8 +545,7 @@ class Extender:
         )
         tolerance = self.evidence.tolerance[1] * EVIDENCE.tolerance
         known = np.maximum(tolerance * np.abs(mean), 1e-9)
-        causes = [c.effect for c in chosen]
-        names = {p.name for p in coefficients(robot, causes)}
+        names = {p.name for c in chosen for p in c.effect.parameters(robot)}
         free = np.array([p.name in names for p in parameters], dtype=bool)
         std = np.where(
             free, coefficient_sizes(parameters, columns, self.tau), known

@@ -271,13 +271,14 @@ def diagnose(
     validate = recordings_of(validate, robot)
     mounted, repaired = set_up(robot, [*recordings, *validate])
     count = len(recordings)
-    data = split(repaired[:count], repaired[count:], cutoff_hz)
+    parts = repaired[:count], repaired[count:]
+    data = split(*parts, cutoff_hz)
     raw = (
         split(recordings, validate, data.cutoff_hz).validate
         if mounted.faults
         else ()
     )
-    logs = fitted(repaired[:count], repaired[count:])
+    logs = fitted(*parts)
     identified = _as_identified(mounted.robot, data, logs)
     diagnosis = _of_data(mounted, data, identified, logs, raw)
     # what a repair does is judged on the data as they are
@@ -483,8 +484,7 @@ def _extended(
     if understood is not mounted.robot:
         train = train.by(understood)
         evidence = gather(mounted.robot, train, tau, prior, gains=gains)
-        later = replace(first, train=train, evidence=evidence)
-        others.append((later, frozenset()))
+        others.append((replace(first, train=train, evidence=evidence), frozenset()))
     elif doubted := _replaceable(mounted.robot, fit):
         others.append((first, doubted))
     for start, excluded in others:
@@ -664,7 +664,7 @@ def _refined_gains(
     after = root @ block @ root.T / np.outer(factor, factor)
     # friction may share the scale of the bodies, but not decide it
     scale = SEARCH.own_scale * drive.scale_std**2
-    after = after + max(scale - float(after.mean()), 0.0)
+    after = after + max(scale - after.mean(), 0.0)
     return replace(drive, gains=gains, covariance=after)
 
 
@@ -712,6 +712,7 @@ def _iterated(first: Extender, excluded: frozenset[Key]) -> Extension:
     robot = holdout.robot
     best: Extension | None = None
     extender = first
+    evidence = first.evidence
     for _ in range(SEARCH.rounds):
         if best is not None:
             extender = extender.by(best.model, idle(best.evidence, best.chosen))
@@ -723,8 +724,7 @@ def _iterated(first: Extender, excluded: frozenset[Key]) -> Extension:
                 best.chosen,
                 gains=first.gains,
             )
-            extender = replace(extender, evidence=evidence)
-        evidence, chosen = select(extender.evidence, robot, excluded)
+        evidence, chosen = select(evidence, robot, excluded)
         fit = confirmed(replace(extender, evidence=evidence), chosen)
         if best is not None:
             if holdout.worse(fit.predicted, best.predicted, SEARCH.gain):

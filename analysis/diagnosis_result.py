@@ -30,7 +30,6 @@ from excitant.analysis.explanation import (
 from excitant.analysis.residuals import Residual, explanatory
 from excitant.analysis.selection import Rival
 from excitant.analysis.thresholds import DISCRIMINATION, VERDICT
-from excitant.identify.accuracy import Accuracy
 from excitant.identify.rows import states
 from excitant.robots.effects import (
     Effect,
@@ -110,6 +109,7 @@ def _deciding(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> str
 def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:
     """All contents, with a plan's experiments or else general actions."""
     drive = diagnosis.drive
+    joints = diagnosis.robot.joints
     notes = [
         *(each.sentence(diagnosis.robot) for each in diagnosis.differences),
         *diagnosis.notes,
@@ -126,7 +126,7 @@ def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:
         "cutoff_hz": diagnosis.data.cutoff_hz,
         **({"drive_gain_Nm_per_A": None} if drive is None else drive.result()),
         "holdout": diagnosis.data.holdout,
-        "simulation": {"joints": _joints(diagnosis, diagnosis.simulation)},
+        "simulation": {"joints": diagnosis.simulation.entries(joints)},
         "faults": [],
         "differences": [
             each.entry(diagnosis.robot) for each in diagnosis.differences
@@ -151,7 +151,7 @@ def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:
                 diagnosis.residuals, diagnosis.extended.r2, strict=True
             )
         ],
-        "extended": {"joints": _joints(diagnosis, diagnosis.extended)},
+        "extended": {"joints": diagnosis.extended.entries(joints)},
         "error": {
             "joints": [
                 {
@@ -302,11 +302,6 @@ def _figure(diagnosis: Diagnosis, item: Item) -> Entry:
     }
 
 
-def _joints(diagnosis: Diagnosis, accuracy: Accuracy) -> list[Entry]:
-    joints = enumerate(diagnosis.robot.joints)
-    return [{"name": joint, **accuracy.entry(j)} for j, joint in joints]
-
-
 @dataclass(frozen=True, eq=False)
 class Curve:
     """One figure of evidence."""
@@ -342,8 +337,7 @@ def curve_of(diagnosis: Diagnosis, item: Item) -> Curve:
     if effect.words.drawn is not None:
         label, x = effect.words.drawn(effect, label, x)
     x = np.where(moves[:, j], x, np.nan)
-    residual_torque = error[:, j] + torque
-    return Curve(j, label, x, residual_torque, torque)
+    return Curve(j, label, x, error[:, j] + torque, torque)
 
 
 def _abscissa(

@@ -93,9 +93,9 @@ class Contest:
         start = len(self.precision)
         columns: dict[Effect, slice] = {}
         for pair in self.pairs:
-            shapes = *self._shapes(pair.found), *self._shapes(pair.rival)
             for effect in (
-                *shapes,
+                *self._shapes(pair.found),
+                *self._shapes(pair.rival),
                 *(effect.without_values() for effect in pair.beside),
             ):
                 if effect not in columns:
@@ -154,7 +154,7 @@ class Contest:
         if not self.recorded:
             return ROWS_PER_PERIOD * self.cutoff_hz
         t = self.recorded[0].t
-        return float(1 / (t[1] - t[0]))
+        return 1 / (t[1] - t[0])
 
     def instants(self, period: float) -> Array:
         """When a motion is judged [s]: evenly, first and last included."""
@@ -264,7 +264,7 @@ def along(
     motion: Motion, cutoff_hz: float, rows_hz: float | None = None
 ) -> Segment:
     """Segment of an equidistant motion, at four of the cut-off by default."""
-    step = float(motion.t[1] - motion.t[0])
+    step = motion.t[1] - motion.t[0]
     still = np.zeros_like(motion.q)
     edge = round(1 / (cutoff_hz * step))
     stride = max(1, round(1 / ((rows_hz or ROWS_PER_PERIOD * cutoff_hz) * step)))

@@ -123,7 +123,7 @@ def informative_motion(
     def told(trajectory: Trajectory) -> float:
         information = contest.known + contest.information(trajectory.at(t))
         of_given = information[:p, :p] + np.diag(contest.precision)
-        return float(np.linalg.slogdet(of_given).logabsdet)
+        return np.linalg.slogdet(of_given).logabsdet
 
     with suppress(Infeasible):
         motions = [
@@ -180,8 +180,10 @@ class _Search:
         self, pool: list[Discriminating], open_: Mask
     ) -> Discriminating | None:
         """The motion that best separates the open pairs within the limits, out of a pool."""
+        plenty = DISCRIMINATION.plenty * needed()
         while pool:
-            motion = max(pool, key=lambda m: _worth(m.deltas[open_]))
+            shown = [np.clip(m.deltas[open_], 0.1, plenty) for m in pool]
+            motion = pool[np.argmax([np.log(deltas).sum() for deltas in shown])]
             pool.remove(motion)
             feasible = within_limits(
                 self.robot, motion.trajectory, self.scene, CLEARANCE
@@ -260,18 +262,12 @@ class _Search:
         return bool(self.scene.distances(poses).min() > CLEARANCE)
 
 
-def _worth(deltas: Array) -> float:
-    return float(
-        np.log(np.clip(deltas, 0.1, DISCRIMINATION.plenty * needed())).sum()
-    )
-
-
 def _envelope(series: FourierSeries, rng: np.random.Generator) -> Array:
     """((1 − cos ωt) / 2)^p cos(kωt + φ): reversals that swell and fade, shape (c,), norm 1."""
     # with p ≥ 2 it is at rest at both ends; its peak speeds range from nothing to the highest
     p = int(rng.integers(2, 5))
     top = max(series.harmonics - p, 1)
-    k = min(round(float(np.exp(rng.uniform(np.log(2), np.log(max(top, 3)))))), top)
+    k = min(round(np.exp(rng.uniform(np.log(2), np.log(max(top, 3))))), top)
     n = 4 * series.harmonics + 4
     angle = 2 * np.pi * np.arange(n) / n
     values = ((1 - np.cos(angle)) / 2) ** p * np.cos(
@@ -356,7 +352,15 @@ def plan(
         motion = informative_motion(contest, rng, scene=surroundings)
         if motion is not None:
             trajectories.append(motion)
-            general = _general(motion, len(trajectories), contest.robot)
+            file = f"separate-{len(trajectories)}.csv"
+            general = Advice(
+                f"run {file} ({described(motion, contest.robot)}): it shows all values better, "
+                # the share is that of `--settle`
+                "which decides about half of such doubts",
+                None,
+                1,
+                file,
+            )
     experiments = {
         key(pair.found, pair.rival): _experiment(
             contest, index, used, largest[index], general
@@ -364,15 +368,6 @@ def plan(
         for index, pair in enumerate(contest.pairs)
     }
     return Plan(experiments, tuple(trajectories), general)
-
-
-def _general(motion: Trajectory, number: int, robot: Robot) -> Advice:
-    """The motion that shows all values better; the share is that of `--settle`."""
-    file = f"separate-{number}.csv"
-    words = f"run {file} ({described(motion, robot)}): it shows all values better"
-    return Advice(
-        f"{words}, which decides about half of such doubts", None, 1, file
-    )
 
 
 def _contest(diagnosis: Diagnosis, pairs: Sequence[Pair]) -> Contest:
@@ -431,12 +426,10 @@ def _surroundings(diagnosis: Diagnosis) -> Scene | None:
     surroundings = None
     with suppress(ValueError, RuntimeError):
         surroundings = scene(diagnosis.robot)
-    near = (
-        surroundings is None
-        or surroundings.distances(q[:: max(1, len(q) // 100)]).min()
-        <= DISCRIMINATION.nearest
-    )
-    return None if near else surroundings
+    if surroundings is None:
+        return None
+    nearest = surroundings.distances(q[:: max(1, len(q) // 100)]).min()
+    return surroundings if nearest > DISCRIMINATION.nearest else None
 
 
 def _best(motions: Sequence[Discriminating], index: int) -> Discriminating | None:

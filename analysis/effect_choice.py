@@ -74,7 +74,7 @@ def _predictive(evidence: Evidence, chosen: Sequence[Candidate]) -> list[Candida
             scores.append(min(in_deviations(fall.sum(axis=1)), *of_joints))
         if min(scores) >= SELECTION.unseen:
             break
-        causes.pop(int(np.argmin(scores)))
+        causes.pop(np.argmin(scores))
     return causes
 
 

@@ -208,15 +208,15 @@ class Evidence:
     ) -> float:
         """Fall of J by adding a candidate to a set, and to some more that are none of it."""
         columns = np.r_[tuple(c.columns for c in (*more, candidate))]
-        fit = self.fit(chosen)
-        half = fit.half[:, columns]
+        whole = self.fit(chosen).half
+        half = whole[:, columns]
         own = self.information(columns)
         own.flat[:: len(columns) + 1] *= 1 + _ROUNDING
         own -= half.T @ half
-        score = self.moment[columns] - half.T @ fit.half[:, -1]
+        score = self.moment[columns] - half.T @ whole[:, -1]
         # the last rows of the triangle are the candidate's, beside all else
         falls = _halved(_root(own), score)[-candidate.size :] ** 2
-        return float(falls.sum())
+        return falls.sum()
 
     def additions(self, chosen: Sequence[Candidate]) -> Array:
         """Fall of J by adding each of the candidates to a set, shape (candidates,)."""
@@ -248,7 +248,7 @@ class Evidence:
         for candidate in chosen:
             at = slice(start, start + candidate.size)
             x = coordinates[at]
-            rises.append(float(x @ np.linalg.solve(covariance[at, at], x)))
+            rises.append(x @ np.linalg.solve(covariance[at, at], x))
             start = at.stop
         return np.array(rises)
 
@@ -295,7 +295,7 @@ class Evidence:
         share, modes = np.linalg.eigh(unit @ grams @ unit.T)
         scale = 1 / np.sqrt(np.maximum(1 - share, LEAST_LEVERAGE))
         adjusted = scale * np.einsum("bmi,bm->bi", modes, scores @ unit.T)
-        measured = float((adjusted**2).sum()) / len(unit)
+        measured = (adjusted**2).sum() / len(unit)
         return max(EVIDENCE.least_dispersion, (measured + 1) / 2)
 
     def cosine(self, one: Candidate, other: Candidate) -> float:
@@ -341,7 +341,7 @@ class Evidence:
         beside = cross.T @ fit.coordinates[active]
         remaining = np.concatenate(moments) - beside
         G = scipy.linalg.block_diag(*grams) - cross.T @ fit.solved(cross)
-        fall = float(remaining @ np.linalg.lstsq(G, remaining, rcond=1e-9)[0])
+        fall = remaining @ np.linalg.lstsq(G, remaining, rcond=1e-9)[0]
         return fall, len(remaining) - len(used)
 
     def acting(self, cause: Candidate) -> Iterator[tuple[int, Indices]]:
@@ -548,8 +548,7 @@ def _typical_deviation(evidence: Evidence, part: Indices, robot: Robot) -> float
     deviation = (vectors[:, determined].T @ (unit * m)) / values[determined]
     # noise alone adds the second term to the median of a squared deviation
     variance = (
-        float(np.median(deviation**2 - CHI2_MEDIAN / values[determined]))
-        / CHI2_MEDIAN
+        np.median(deviation**2 - CHI2_MEDIAN / values[determined]) / CHI2_MEDIAN
     )
     least = (
         EVIDENCE.least_off if determined.sum() >= EVIDENCE.many_directions else 1.0

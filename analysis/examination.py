@@ -55,11 +55,11 @@ class Examination(Shown):
     @property
     def accuracies(self) -> dict[str, Accuracy]:
         """Accuracy on the hold-out of the given, the identified and the extended model."""
-        both = {
+        return {
             "given": self.estimate.baseline,
             "identified": self.estimate.validate,
+            "extended": self.diagnosis.extended,
         }
-        return both | {"extended": self.diagnosis.extended}
 
     @property
     def wrong(self) -> list[Mapping[str, Any]]:
@@ -84,7 +84,7 @@ class Examination(Shown):
             "given",
             *(n for n, each in self.publications.items() if each.published),
         ]
-        useless = bool((self.accuracies["given"].nrmse > MISSED).any())
+        useless = (self.accuracies["given"].nrmse > MISSED).any()
         if self.wrong or (len(kept) == 1 and useless):
             return ""
         most = (1 + _SAME) * min(errors[name] for name in kept)
@@ -241,8 +241,12 @@ class Examination(Shown):
 
     @property
     def _nouns(self) -> dict[str, Any]:
-        both = {"robots": self.check, "identify": self.estimate}
-        return both | {"analyze": self.identifiability, "diagnose": self.diagnosis}
+        return {
+            "robots": self.check,
+            "identify": self.estimate,
+            "analyze": self.identifiability,
+            "diagnose": self.diagnosis,
+        }
 
     def result(self) -> dict[str, Any]:
         """Contents of result.json."""
@@ -317,11 +321,10 @@ def examine(
         ),
     }
     progress(0.8, "analysing")
-    known = analyze(robot, estimate=estimate)
     return Examination(
         ModelCheck(robot),
         estimate,
-        known,
+        analyze(robot, estimate=estimate),
         diagnosis,
         faults,
         publications,

@@ -134,7 +134,7 @@ def at_rest(diagnosis: Diagnosis) -> str:
         rests = ~diagnosis.holdout.series.moves[:, j]
         if squares[rests].sum() <= VERDICT.at_rest * squares.sum():
             continue
-        rms = float(np.sqrt(squares[rests].mean()))
+        rms = np.sqrt(squares[rests].mean())
         if rms > VERDICT.above_noise * residual.floor:
             size = f"{rms:.2g} {diagnosis.unit(j)}"
             errors.append(f"{residual.joint} has an error of {size} at rest")
@@ -237,8 +237,12 @@ def sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     joints = joints_of(group)
     if len({f.effect.name for f in group}) > 1:
         sure = {f.effect.name for f in group if f.verdict == "named"}
-        named = [f for f in group if f.effect.name in sure]
-        kinds = _kinds(named or group, diagnosis)
+        named = [f for f in group if f.effect.name in sure] or group
+        # effects one by one, the range of each of their sizes
+        kinds = ", ".join(
+            _ranges([f for f in named if f.effect.name == kind], diagnosis)
+            for kind in dict.fromkeys(f.effect.name for f in named)
+        )
         where = joints[0] if len(joints) == 1 else f"{len(joints)} joints"
         return f"Friction of {where} is not in the model: {kinds}"
     alike = group if len(joints) == 1 else group[:1]
@@ -285,14 +289,6 @@ def sizes(finding: Finding, diagnosis: Diagnosis) -> tuple[Size, ...]:
     if finding.verdict == "named":
         return found
     return tuple(replace(size, std=np.nan) for size in found)
-
-
-def _kinds(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
-    """Effects one by one, the range of each of their sizes."""
-    kinds: dict[str, list[Finding]] = {}
-    for f in group:
-        kinds.setdefault(f.effect.name, []).append(f)
-    return ", ".join(_ranges(part, diagnosis) for part in kinds.values())
 
 
 def _ranges(group: Sequence[Finding], diagnosis: Diagnosis) -> str:

@@ -213,14 +213,13 @@ class _Group:
     def without(self, arms: Set[str]) -> _Group:
         """The group without some arms."""
         names = tuple(arm for arm in self.arms if arm not in arms)
-        place = np.array(
-            [names.index(arm) if arm in names else -1 for arm in self.arms]
-        )
-        rows = place[self.arm] >= 0
+        places = [names.index(arm) if arm in names else -1 for arm in self.arms]
+        place = np.array(places)[self.arm]
+        rows = place >= 0
         return replace(
             self,
             arms=names,
-            arm=place[self.arm][rows],
+            arm=place[rows],
             days=self.days[rows],
             x=self.x[rows],
             variance=self.variance[rows],
@@ -258,7 +257,7 @@ class _Group:
 
     def drifts(self, tested: int) -> Iterator[Drift]:
         """Lines of all arms, with the chance among so many that were tested."""
-        (more, freedom) = self.within
+        more, freedom = self.within
         lines = self.lines
         fit = self.fit(more)
         t = np.abs(fit.slope) / np.sqrt(fit.slope_variance)
@@ -305,8 +304,8 @@ class _Group:
         if freedom:
             chance = float(scipy.special.fdtrc(others, freedom, squares / others))
         apart = (fit.mean - middle) / np.sqrt(fit.variance)
-        low = int(np.argmin(apart))
-        high = int(np.argmax(apart))
+        low = np.argmin(apart)
+        high = np.argmax(apart)
         least, most = float(fit.mean[low]), float(fit.mean[high])
         std = float(np.sqrt(fit.variance[low] + fit.variance[high]))
         return Difference(
@@ -396,13 +395,12 @@ def _groups(examined: Sequence[Examined]) -> Iterator[_Group]:
                 if name in data_set.values
             ]
             arms = tuple(dict.fromkeys(data_set.arm for data_set, _ in having))
-            place = {arm: k for k, arm in enumerate(arms)}
             x, std = np.array([value[:2] for _, value in having], float).T
             yield _Group(
                 name,
                 having[0][1].unit,
                 arms,
-                np.array([place[data_set.arm] for data_set, _ in having]),
+                np.array([arms.index(data_set.arm) for data_set, _ in having]),
                 np.array([_days(data_set.day) for data_set, _ in having]),
                 x,
                 np.maximum(std, _TINY * np.abs(x).max() + 1e-300) ** 2,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
@@ -278,14 +278,13 @@ def analyze(
         sigma[rows] = experiment.sigma
     further = candidate_experiments(robot, effects, sigma, rests, pose, rows)
     entries = _entries(robot, effects, structural, further, experiment)
-    identifiability = Identifiability(robot, effects, structural, entries)
+    known = robot, effects, structural, entries
     if experiment is not None:
         practical = _practical(robot, effects, base, experiment, further)
         notes = (*_notes(structural, practical, entries), *experiment.notes)
-        return replace(identifiability, motion=practical, notes=notes)
-    if poses is not None:
-        return replace(identifiability, notes=(_contained(robot, structural),))
-    return identifiability
+        return Identifiability(*known, practical, notes)
+    notes = () if poses is None else (_contained(robot, structural),)
+    return Identifiability(*known, notes=notes)
 
 
 def _contained(robot: Robot, structural: Structure) -> str:
@@ -309,12 +308,8 @@ def _practical(
     further: Mapping[str, Array],
 ) -> PracticalIdentifiability:
     sigma = experiment.sigma
-    excitation = None
-    if len(sigma) == robot.nv:
-        excitation = persistency(robot, experiment.motion, effects, sigma=sigma)
-    columns = list(base.columns)
     information = experiment.information
-    R = information.R[:, columns]
+    R = information.R[:, base.columns]
     lengths = np.linalg.norm(R, axis=0)
     scaled = R / np.where(lengths > 0, lengths, 1.0)
     return PracticalIdentifiability(
@@ -324,7 +319,9 @@ def _practical(
         noise=sigma,
         resting=tuple(robot.joints[j] for j in experiment.resting),
         basis=experiment.basis,
-        persistency=excitation,
+        persistency=persistency(robot, experiment.motion, effects, sigma=sigma)
+        if len(sigma) == robot.nv
+        else None,
     )
 
 
@@ -391,19 +388,21 @@ def _entries(
     for k, name in enumerate(base.names):
         category = cast(Category, structural.category[k])
         known = {key: values[k] for key, values in columns.items()}
-        entry = ParameterIdentifiability(
-            name,
-            units[k],
-            category,
-            **known,
-            rel_std=relative(known.get("std"), known["value"]),
-            prior_dominated=category == "unidentifiable"
-            or known.get("decided_by") == "prior",
-            margin=float(structural.margin[k]),
-            expression="; ".join(expressions[base.regrouping[:, k] != 0]) or None,
-            needed=needed[k] or None,
+        entries.append(
+            ParameterIdentifiability(
+                name,
+                units[k],
+                category,
+                **known,
+                rel_std=relative(known.get("std"), known["value"]),
+                prior_dominated=category == "unidentifiable"
+                or known.get("decided_by") == "prior",
+                margin=float(structural.margin[k]),
+                expression="; ".join(expressions[base.regrouping[:, k] != 0])
+                or None,
+                needed=needed[k] or None,
+            )
         )
-        entries.append(entry)
     return tuple(entries)
 
 
@@ -414,7 +413,7 @@ def _judged(
     information = experiment.information
     x = experiment.x
     unique = np.array(category) == "unique"
-    std = information.std(np.eye(len(x))[:, list(base.columns)])
+    std = information.std(np.eye(len(x))[:, base.columns])
     std = np.where(unique, std, np.inf)
     negligible, size = resolution(x, std, information.signal)
     factors = np.array([factor for factor, _ in experiment.told] or np.ones(len(x)))

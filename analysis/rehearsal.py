@@ -132,8 +132,8 @@ def limit_items(situation: Situation) -> list[Requirement]:
         "torque": np.abs(run.tau).max(axis=0) / limits.torque,
     }
     for name, share in shares.items():
-        joint = situation.robot.joints[int(share.argmax())]
-        worst = float(share.max())
+        joint = situation.robot.joints[share.argmax()]
+        worst = share.max()
         speed = min(1 / max(worst, 1.0) ** (0.5 if name == "torque" else 1.0), 0.99)
         slower = f"play the motion at {100 * speed:.0f} % of its speed"
         advice = (
@@ -165,10 +165,9 @@ def _recovered(
     situation: Situation, estimates: Sequence[Estimate], x: Array
 ) -> list[Requirement]:
     beta = estimates[0].base.regrouping @ x
-    std = [e.least_squares.std for e in estimates]
-    errors = np.array([e.least_squares.beta for e in estimates]) - beta
-    inside = np.abs(errors) <= 1.96 * np.array(std)
-    share = float(inside.mean())
+    fits = [e.least_squares for e in estimates]
+    inside = np.array([np.abs(f.beta - beta) <= 1.96 * f.std for f in fits])
+    share = inside.mean()
     detail = (
         f"{100 * share:.1f} % of {inside.size} cases within their 95 % intervals "
         f"({len(beta)} parameters, {len(estimates)} recordings)"
@@ -198,18 +197,19 @@ def _friction(
             unit = parameter.unit
             advice = situation.faster(joint, lack)
             detail = f"planted {true:.4g}, recovered {value:.4g} ± {s:.2g} {unit}"
-            item = _item(
-                plain(effect.name),
-                joint,
-                lack <= 1,
-                detail,
-                advice,
-                true,
-                value,
-                s,
-                unit,
+            items.append(
+                _item(
+                    plain(effect.name),
+                    joint,
+                    lack <= 1,
+                    detail,
+                    advice,
+                    true,
+                    value,
+                    s,
+                    unit,
+                )
             )
-            items.append(item)
     return items
 
 
@@ -248,7 +248,7 @@ def _other_motions(
     share = root_mean_square(W @ (estimate.least_squares.beta - beta)) / torque
     j = int(share.argmax())
     unsure = root_mean_square(W[:, j]) * estimate.least_squares.std
-    weak = base.names[base.columns[int(unsure.argmax())]]
+    weak = base.names[base.columns[unsure.argmax()]]
     size = f"rms error {100 * share[j]:.2g} % of the torque at half the limits"
     advice = situation.faster(lack=float(share[j] / _ELSEWHERE))
     passed = share[j] <= _ELSEWHERE

@@ -18,13 +18,13 @@ from excitant.identify.preprocessing import (
     position_cutoff,
     top_speed,
 )
+from excitant.identify.rows import states
 from excitant.robots.motion import (
     Array,
     Indices,
     Mask,
     power_density,
     root_mean_square,
-    together,
 )
 from excitant.robots.regressor import torque_derivatives
 from excitant.robots.robot import Robot
@@ -75,13 +75,13 @@ def explanatory(segments: Sequence[Segment], load: Array) -> Explanatory:
     since = [
         since_reversal(s.motion.q, s.motion.dq, slowest)[s.keep] for s in segments
     ]
-    motion = together([s.motion[s.keep] for s in segments])
+    motion = states(segments)
     return Explanatory(
         position=motion.q,
         velocity=motion.dq,
         load=load,
         reversal=np.concatenate(since),
-        duration=float(sum(len(s.t) * (s.t[1] - s.t[0]) for s in segments)),
+        duration=sum(len(s.t) * (s.t[1] - s.t[0]) for s in segments),
         lowest_hz=_lowest_frequency(segments),
     )
 
@@ -106,8 +106,8 @@ def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:
     time = np.flatnonzero(rows).astype(float)
     dq = by.velocity[rows, j]
     load = by.load[rows, j]
-    constant = float(e.mean())
-    total = max(float((e**2).sum()), 1e-300)
+    constant = e.mean()
+    total = max((e**2).sum(), 1e-300)
     explained = {"constant": _explained(e, constant, 1) / total}
     rest = e - constant
     forward = (dq > 0).astype(np.intp)
@@ -145,9 +145,9 @@ def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:
 def _explained(e: Array, fitted: Array | float, freedom: int) -> float:
     """Power of an error that a fit with some coefficients removes, less that by chance."""
     rest = e - fitted
-    remaining = float((rest**2).sum())
+    remaining = (rest**2).sum()
     independent = max(len(e) / autocorrelation_time(rest), 1.0)
-    return float((e**2).sum()) - remaining - remaining * freedom / independent
+    return (e**2).sum() - remaining - remaining * freedom / independent
 
 
 def _lowest_frequency(segments: Sequence[Segment]) -> Array:
@@ -183,10 +183,9 @@ class Residual:
     def visible(self) -> bool:
         """Whether it is of motion, slow, well above noise and a material share of the given one."""
         share = self.structured**2 / max(self.given**2, 1e-300)
-        slow = self.correlation_s > STRUCTURED.correlation_s / 2
         return (
             self.moves
-            and slow
+            and self.correlation_s > STRUCTURED.correlation_s / 2
             and self.structured > STRUCTURED.visible * self.floor
             and share > STRUCTURED.share
         )
@@ -236,7 +235,7 @@ def residuals(
     """
     by = explanatory(segments, load)
     moves = away_from_rest(segments)
-    step = float(segments[0].t[1] - segments[0].t[0])
+    step = segments[0].t[1] - segments[0].t[0]
     cutoff = segments[0].cutoff_hz
     of_joints = []
     for j, joint in enumerate(joints):
@@ -282,9 +281,9 @@ def position_noise(segments: Sequence[Segment]) -> Array:
     weight = 0
     for s in segments:
         n = len(s.motion)
-        band = slice(s.cutoff_hz, min(HIGHEST_BAND * s.cutoff_hz, 0.45 * s.rate_hz))
+        top = min(HIGHEST_BAND * s.cutoff_hz, 0.45 * s.rate_hz)
         f, density = power_density(s.motion.ddq, s.rate_hz, PERIODOGRAM)
-        within = (f > band.start) & (f < band.stop)
+        within = (f > s.cutoff_hz) & (f < top)
         if within.any():
             power += n * np.median(
                 density[within] / _slope(s, f[within])[:, None], axis=0

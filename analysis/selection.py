@@ -90,7 +90,7 @@ def _best_addition(
         if (
             candidate.key not in taken
             and candidate in allowed
-            and _significant(evidence, chosen, candidate, float(falls[k]))
+            and _significant(evidence, chosen, candidate, falls[k])
             and not _repeats(robot, chosen, candidate)
             and _plausible(evidence, robot, [*chosen, candidate], candidate)
         ):
@@ -267,7 +267,7 @@ def _agrees(
 def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool:
     """Whether a cause makes far more torque than there is to explain, which others cancel."""
     at = cause.columns
-    made = float(coordinates[at] @ evidence.gram[at, at] @ coordinates[at])
+    made = coordinates[at] @ evidence.gram[at, at] @ coordinates[at]
     there = evidence.powers @ evidence.problem.acts[:, at].any(axis=1)
     return bool(made > SELECTION.cancelled * there)
 

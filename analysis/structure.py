@@ -56,12 +56,12 @@ class Structure(Noun):
         """Frames and, in those of Denavit and Hartenberg, singular values and vectors in words."""
         if self.frames is None:
             return {"frames": "joint"}
-        vectors = [_members(row, self.base.names) for row in self.singular_vectors]
-        values = self.singular_values.tolist()
         return {
             "frames": "dh",
-            "singular_values": values,
-            "singular_vectors": vectors,
+            "singular_values": self.singular_values.tolist(),
+            "singular_vectors": [
+                _members(row, self.base.names) for row in self.singular_vectors
+            ],
         }
 
     @property
@@ -211,11 +211,11 @@ def _joints(words: Sequence[str]) -> str:
 
 
 def _gravity_sentence(gravity: Array) -> str:
-    size = float(np.linalg.norm(gravity))
+    size = np.linalg.norm(gravity)
     if size == 0:
         return "no gravity"
     direction = gravity / size
-    k = int(np.argmax(np.abs(direction)))
+    k = np.argmax(np.abs(direction))
     if abs(direction[k]) > 1 - 1e-12:
         return (
             f"gravity along {'−' if direction[k] < 0 else ''}{'xyz'[k]} of the base"
@@ -251,7 +251,7 @@ def distal_frames(robot: Robot) -> Array:
         z = place.rotation @ beyond
         point = place.translation
         across = np.cross(here, z)
-        x = place.rotation[:, int(np.argmin(np.abs(beyond)))]
+        x = place.rotation[:, np.argmin(np.abs(beyond))]
         if np.linalg.norm(across) > PARALLEL:
             steps = np.linalg.solve(np.column_stack([here, -z, across]), point)
             point = point + steps[1] * z

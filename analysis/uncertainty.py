@@ -27,7 +27,13 @@ from excitant.identify.prior import (
     silent_columns,
 )
 from excitant.identify.regression import dense
-from excitant.identify.rows import FitRows, fit_rows, implausible_size, units_of
+from excitant.identify.rows import (
+    FitRows,
+    fit_rows,
+    implausible_size,
+    states,
+    units_of,
+)
 from excitant.results import Practical
 from excitant.robots.base_parameters import (
     BaseParameters,
@@ -72,7 +78,7 @@ def torque_noise(robot: Robot, noise: Sequence[float] | None) -> Array:
     if noise is None:
         unlimited = np.isinf(robot.limits.torque)
         if unlimited.any():
-            joint = robot.joints[int(np.argmax(unlimited))]
+            joint = robot.joints[np.argmax(unlimited)]
             raise BadInput(
                 f"{robot.source}: joint {joint} has no torque limit to scale noise by; "
                 "give the noise of each joint (--noise) or a limit"
@@ -108,9 +114,7 @@ def _unit_columns(R: Array) -> tuple[Array, Array]:
     """Lengths of the columns, and the columns scaled to length one, or to zero where negligible."""
     norms = np.linalg.norm(R, axis=0)
     nonzero = ~silent_columns(R)
-    scale = np.where(
-        nonzero, norms, norms[nonzero].min(initial=np.inf) if nonzero.any() else 1.0
-    )
+    scale = np.where(nonzero, norms, norms[nonzero].min() if nonzero.any() else 1.0)
     return scale, np.where(nonzero, R / scale, 0.0)
 
 
@@ -118,7 +122,7 @@ def _decomposed(R: Array) -> tuple[Array, Array, Array, Mask]:
     """Column scales; singular values and right vectors of R in these scales, and which are seen."""
     scale, unit = _unit_columns(R)
     s, Vt = all_directions(unit)
-    return scale, s, Vt.T, s > ROUNDING * max(float(s.max(initial=0.0)), 1e-300)
+    return scale, s, Vt.T, s > ROUNDING * max(s.max(initial=0.0), 1e-300)
 
 
 def shown_base(names: tuple[str, ...], W: Array) -> BaseParameters:
@@ -264,9 +268,12 @@ def candidate_experiments(
     others = len(coefficients(robot, effects))
     experiments |= {f"the base {how}": factor(arm) for how, arm in tilts.items()}
     for how, arm in {"": robot, **tilts}.items():
-        experiments[f"{sensor}, {how}".removesuffix(", ")] = _base_sensor(
-            arm, every_joint, others
-        )
+        W = base_wrench_columns(arm, every_joint)
+        largest = np.abs(W @ arm.phi).max(axis=0)
+        least = 1e-3 * max(largest.max(), 1e-3)
+        noise = RESOLUTION.sensor_noise * np.maximum(largest, least)
+        wide = np.pad(W, ((0, 0), (0, 0), (0, others)))
+        experiments[f"{sensor}, {how}".removesuffix(", ")] = triangle(wide, noise)
     return experiments
 
 
@@ -308,15 +315,6 @@ def base_wrench_columns(robot: Robot, motion: Motion) -> Array:
     return columns
 
 
-def _base_sensor(robot: Robot, motion: Motion, others: int) -> Array:
-    W = base_wrench_columns(robot, motion)
-    largest = np.abs(W @ robot.phi).max(axis=0)
-    sigma = RESOLUTION.sensor_noise * np.maximum(
-        largest, 1e-3 * max(float(largest.max()), 1e-3)
-    )
-    return triangle(np.pad(W, ((0, 0), (0, 0), (0, others))), sigma)
-
-
 def experiments_needed(
     R: Array, A: Array, size: Array, candidates: Mapping[str, Array]
 ) -> tuple[str, ...]:
@@ -335,8 +333,9 @@ def experiments_needed(
     for k, (std, limit) in enumerate(zip(now, enough, strict=True)):
         some = [what for what, with_it in tried.items() if np.isfinite(with_it[k])]
         good = [what for what in some if tried[what][k] <= limit]
-        times = (std / limit) ** 2 if np.isfinite(std) else np.inf
-        if np.isfinite(std) and std <= limit:
+        shown = np.isfinite(std)
+        times = (std / limit) ** 2 if shown else np.inf
+        if shown and std <= limit:
             answers.append("")
         elif times <= RESOLUTION.repeats:
             answers.append(
@@ -344,7 +343,7 @@ def experiments_needed(
             )
         elif good:
             answers.append(good[0])
-        elif np.isfinite(std):
+        elif shown:
             answers.append("less torque noise: too uncertain in every motion tried")
         else:
             answers.append(
@@ -495,7 +494,7 @@ def recorded_experiment(
         told=units_of(estimate.given, effects, estimate.drive),
         influence=estimate.physical.influence,
         motion=max((s.motion for s in estimate.data.train), key=len),
-        q=np.concatenate([s.motion.q[s.keep] for s in estimate.data.train]),
+        q=states(estimate.data.train).q,
         basis="from the residual of the recording, with its autocorrelation",
         notes=notes,
     )

@@ -101,7 +101,7 @@ def test_noiseless_data_give_the_truth(name: str) -> None:
     fit = BY_NAME[name](problem(W, W @ BETA))
     np.testing.assert_allclose(fit.beta, BETA, rtol=1e-6)
     assert (fit.std * SIZE <= 1e-6).all()
-    arrays = [values for values in vars(fit).values() if values is not None]
+    arrays = [x for x in vars(fit).values() if isinstance(x, np.ndarray)]
     assert not any(values.flags.writeable for values in arrays)
 
 

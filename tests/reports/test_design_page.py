@@ -73,7 +73,7 @@ def test_page_of_a_design_without_a_limit_on_torque_or_a_scene(saved, show):
 
 def test_unlimited_joints_have_no_lines_and_twelve_fit_on_a_small_page(make, show):
     result, series = make["design"]()
-    figure = motion_figure(result["joints"], Drawn(), series)
+    figure = motion_figure(result["joints"], Drawn(None), series)
     assert figure.legend == ()
     assert "no limits" in figure.caption
     assert all("velocity no limit" in panel.label for panel in figure.panels)
