@@ -85,7 +85,8 @@ def key(found: Effect, rival: Effect) -> Pairing:
 def _deciding(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> str:
     """The one experiment for the largest undecided finding of a group, or why there is none.
 
-    A motion if there is one, else an action; what measures the cause where it has no rival.
+    A motion that separates it from a rival, or shows all values better, else an action; what
+    measures the cause where it has no rival.
     """
     undecided = [f for f in group if f.verdict == "undecided"]
     if not undecided:
@@ -99,7 +100,8 @@ def _deciding(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> str
         for rival in rivals_of(finding, diagnosis.findings)
     ]
     if advices:
-        return min(advices, key=lambda advice: advice.file is None).experiment
+        by_use = min(advices, key=lambda a: (a.separation is None, a.file is None))
+        return by_use.experiment
     action = measuring_experiment(finding.effect)
     return (
         f"{plan.general.experiment}, or else: {action}" if plan.general else action

@@ -95,6 +95,7 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
         (
             ("diagnosed", lead),
             *_first_lines(findings),
+            *_next(findings),
             *_corrected_line(result.corrected),
             *refitted_line(result.exported),
         ),
@@ -122,6 +123,15 @@ def _first_lines(findings: list[Finding]) -> list[tuple[str, str]]:
             if part.effect not in _USUAL
         ]
     return lines if len(lines) > 1 else []
+
+
+def _next(findings: list[Finding]) -> p.Brief:
+    """The experiment that decides the first of the undecided findings."""
+    numbered = enumerate(findings, start=1)
+    told = [
+        f"finding {k}: {row.experiment}" for k, row in numbered if row.experiment
+    ]
+    return tuple(("next", words) for words in told[:1])
 
 
 def _line(number: str, part: Part, words: str) -> tuple[str, str]:
