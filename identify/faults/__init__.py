@@ -131,10 +131,16 @@ def _faults(
     note(*late)
     outliers = [*jumps_and_outliers(log)] if len(log) >= _ROWS else []
     note(*outliers)
+    unmended = [*jumps_and_outliers(log)] if outliers else []
+    for fault in unmended:
+        # positions that interpolation does not mend jump, as where logs are joined
+        if fault.channel == "q":
+            parts = np.union1d(parts, log.t[fault.evidence["rows"]])
     if len(log) < _ROWS:
         return tuple(faults)
     channels = [*dead_channels(log), *saturation(log, robot)]
     cuts = np.split(np.arange(len(log)), np.searchsorted(log.t, parts))
+    pieces = [log.take(cut) for cut in cuts if len(cut) >= _ROWS]
     longest = log.take(max(cuts, key=len)) if len(cuts) > 1 else log
     speeds = velocity_faults(longest, robot.limits.velocity)
     if len(beyond_limits(robot, longest.q)[0]):
@@ -142,6 +148,9 @@ def _faults(
         speeds = [f for f in speeds if f.fault != "wrong_sample_rate"]
     longest, _ = after_repair(longest, speeds)
     physics = _by_physics(robot, longest, channels)
+    poor = [f for f in physics if f.fault == "poor_excitation"]
+    if poor and excited_together(robot, pieces):
+        physics.remove(poor[0])
     if outliers and not late and physics and physics[0].fault == "time_delay":
         return _faults(robot, recording, physics[:1])
     meaning = {(f.fault, f.channel) for f in physics}
@@ -354,7 +363,7 @@ def check_recordings(
         for each in exchanged
     ]
     poor = {f for faults in alone for f in faults if f.fault == "poor_excitation"}
-    if poor and excited_together(robot, exchanged):
+    if poor and excited_together(robot, [Log.of(robot, r) for r in exchanged]):
         alone = [[f for f in faults if f not in poor] for faults in alone]
     faults = dict[str, tuple[Fault, ...]]()
     notes = list[str]()

@@ -32,7 +32,6 @@ from excitant.identify.faults.fault import (
 )
 from excitant.identify.faults.time import hidden_gaps
 from excitant.identify.faults.torque_fit import Smooth, TorqueFit, smooth
-from excitant.identify.recording import Recording
 from excitant.identify.signals import noise, quantum
 from excitant.robots.effects.sensing import LONGEST_DELAY
 from excitant.robots.motion import Array, root_mean_square, together
@@ -666,12 +665,12 @@ def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Iterator[Fau
     yield Fault("poor_excitation", names, detail, {})
 
 
-def excited_together(robot: Robot, recordings: Sequence[Recording]) -> bool:
-    """Whether several recordings together excite what each alone does not."""
+def excited_together(robot: Robot, logs: Sequence[Log]) -> bool:
+    """Whether several logs together excite what each alone does not."""
     step = 1 / (2 * ROWS_PER_SECOND)
     parts = []
-    for recording in recordings:
-        if data := smooth(Log.of(robot, recording)):
+    for log in logs:
+        if data := smooth(log):
             t = data.motion.t
             instants = np.arange(t[0], t[-1], step)
             parts.append(data.motion[np.searchsorted(t, instants)])

@@ -128,6 +128,12 @@ def test_a_planted_fault_is_named(plant: str) -> None:
         assert fault.evidence["after"] == pytest.approx(0.5, abs=0.02)
 
 
+def test_of_a_log_without_its_middle_nothing_but_the_jump_is_told() -> None:
+    arm = load_robot("so100")
+    log = run_of(arm, (3, 9401, 0)).log
+    assert found(with_rows(log, np.r_[0:333, 667:1000]), arm) == {"corrupt_rows"}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("plant", sorted(ALL.keys() - NOT_IN_REAL))
 def test_a_fault_planted_in_a_real_recording_is_named(real: tuple[Robot, Log], plant: str) -> None:
