@@ -213,7 +213,8 @@ def test_git_keeps_the_links(tmp_path: Path) -> None:
         pytest.skip("not a git repository")
     git = ["git", "-c", f"safe.directory={ROOT}", "-C", str(ROOT)]
     subprocess.run([*git, "archive", "-o", tmp_path / "head.tar", "HEAD"], check=True)
-    shutil.unpack_archive(tmp_path / "head.tar", tmp_path / "head", filter="data")
+    (tmp_path / "head").mkdir()
+    subprocess.run(["tar", "-xf", tmp_path / "head.tar", "-C", tmp_path / "head"], check=True)
     for folder in FOLDERS:
         link = tmp_path / "head/src/excitant" / folder
         assert not Path(os.readlink(link)).is_absolute()
@@ -224,6 +225,6 @@ def test_git_keeps_the_links(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_wheel_from_sdist_is_the_wheel_from_the_checkout(wheel: Path, tmp_path: Path) -> None:
     sdist = build("sdist", ROOT, tmp_path)
-    shutil.unpack_archive(sdist, tmp_path, filter="data")
+    subprocess.run(["tar", "-xf", sdist, "-C", tmp_path], check=True)
     unpacked = tmp_path / sdist.name.removesuffix(".tar.gz")
     assert contents(build("wheel", unpacked, tmp_path)) == contents(wheel)
